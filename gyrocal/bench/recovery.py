@@ -51,8 +51,8 @@ def bring_back(
         From the first look afterwards, and while waiting.
     """
     with lookout.requests.sheltered():
-        standing, _ = stop_table(bench.table, clock, profile, stop_time_s(bench.table, profile))
-    if not standing:
+        stop = stop_table(bench.table, clock, profile, stop_time_s(bench.table, profile))
+    if not stop.standing:
         raise error
     deadline_s = clock.now_s() + profile.retry.wait_s
     while True:

@@ -6,16 +6,16 @@ import contextlib
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeGuard, TypeVar
 
 from gyrocal.bench.clock import Clock
 from gyrocal.bench.devices import Bench, ChamberReading, RateTable, TableReading
 from gyrocal.bench.plan import Limits
 from gyrocal.bench.profile import Profile
-from gyrocal.errors import InterlockError, InterruptedRunError, StopNotVerifiedError
+from gyrocal.errors import DeviceError, InterlockError, InterruptedRunError, StopNotVerifiedError
 
 T = TypeVar("T")
 
@@ -242,7 +242,7 @@ class Interlocks:
 
 
 def _trip_text(t_s: float, reason: str) -> str:
-    return f"Interlock at {t_s:.1f} s: {reason}. The bench was made safe; find the cause, then --resume."
+    return f"Interlock at {t_s:.1f} s: {reason}. Find the cause, then --resume."
 
 
 @dataclass
@@ -257,12 +257,14 @@ class Contact:
 def kept_safe(
     bench: Bench, clock: Clock, profile: Profile, note: Note, requests: StopRequests, contact: Contact
 ) -> Iterator[None]:
-    """Make safe on every way out of the block.
+    """Make safe on every way out of the block; what ends it has a note of what came of that.
 
     Raises
     ------
     StopNotVerifiedError
         The table's read-back does not confirm that it stands; whatever else went wrong is its context.
+    DeviceError
+        Nothing went wrong but that the chamber did not take its safe set point.
     """
     cause: BaseException | None = None
     try:
@@ -289,32 +291,66 @@ def make_safe(
     given no rate and says nothing is no emergency; one that is seen to turn is, whoever set it going.
     """
     within_s = stop_time_s(bench.table, profile) if contact.table_moved else _GLANCE_S
-    standing, rate_dps = stop_table(bench.table, clock, profile, within_s)
+    stop = stop_table(bench.table, clock, profile, within_s)
     chamber_error = _chamber_to_safe(bench, clock, profile) if contact.chamber_started else None
     for device in (bench.gyro, bench.chamber, bench.table):
         _attempt(device.close)
     told_c = profile.safe.chamber_c if contact.chamber_started and chamber_error is None else None
-    _, journal_error = _attempt(
-        lambda: note(
-            "make_safe",
-            table_moved=contact.table_moved,
-            table_stopped=standing,
-            table_rate_dps=rate_dps,
-            chamber_setpoint_c=told_c,
-            chamber_error=str(chamber_error) if chamber_error else None,
-        )
-    )
-    said = rate_dps is not None and not math.isnan(rate_dps)
-    if not standing and (contact.table_moved or said):
-        last = f"{rate_dps:.4g} deg/s" if said else "nothing"
-        msg = (
-            f"THE TABLE MAY STILL BE TURNING: it was told to stop for {within_s:.0f} s, and "
-            f"its last read-back was {last}. Use its emergency stop now."
+    line = {
+        "table_moved": contact.table_moved,
+        "table_stopped": stop.standing,
+        "table_rate_dps": stop.rate_dps,
+        "chamber_setpoint_c": told_c,
+        "chamber_error": str(chamber_error) if chamber_error else None,
+    }
+    _, journal_error = _attempt(lambda: note("make_safe", **line))
+    turning = _may_turn(line)
+    ended: Exception | None = journal_error
+    if turning:
+        ended = StopNotVerifiedError(
+            f"THE TABLE MAY STILL BE TURNING: {stop.told(within_s)}. Use its emergency stop now."
             + (f" What went wrong before: {cause}" if cause else "")
         )
-        raise StopNotVerifiedError(msg)
-    if journal_error:
-        raise journal_error
+    elif chamber_error and not cause:
+        ended = ended or DeviceError("The plan is done, and the chamber was lost at its end.")
+    last = ended or cause
+    if last:
+        last.add_note(chamber_text(line) if turning else made_safe_text(line))
+    if ended:
+        raise ended
+
+
+def made_safe_text(line: Mapping[str, Any]) -> str:
+    """What is known of table and chamber after they were made safe, by the journal's line ``make_safe``."""
+    if _may_turn(line):
+        table = "THE TABLE MAY STILL BE TURNING."
+    elif line.get("table_stopped"):
+        table = "The table stands."
+    else:
+        table = "The table was given no rate and does not say whether it stands."
+    return f"{table} {chamber_text(line)}"
+
+
+def chamber_text(line: Mapping[str, Any]) -> str:
+    """What is known of the chamber, by the journal's line ``make_safe``; loud where it may be hot or cold for ever."""
+    error, told_c = line.get("chamber_error"), line.get("chamber_setpoint_c")
+    if error:
+        return (
+            f"THE CHAMBER MAY NOT BE SAFE: it did not take its safe set point ({str(error).removesuffix('.')}). "
+            "Set it by hand now."
+        )
+    return f"The chamber is set to {told_c:g} °C." if _is_known(told_c) else "The chamber was left as it was."
+
+
+def _may_turn(line: Mapping[str, Any]) -> bool:
+    """Whether a table that is not seen to stand is an emergency: it was given a rate, or says one."""
+    return not line.get("table_stopped") and (
+        bool(line.get("table_moved")) or _is_known(line.get("table_rate_dps"))
+    )
+
+
+def _is_known(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not math.isnan(value)
 
 
 def stop_time_s(table: RateTable, profile: Profile) -> float:
@@ -325,31 +361,49 @@ def stop_time_s(table: RateTable, profile: Profile) -> float:
     return profile.safe.stop_deadline_s + braking_s
 
 
-def stop_table(
-    table: RateTable, clock: Clock, profile: Profile, within_s: float
-) -> tuple[bool, float | None]:
-    """Send stops until rate and angle both show a table at rest for a while; ``(standing, last rate)``.
+@dataclass
+class Stop:
+    """What came of stopping the table: whether it is seen to stand, its last rate, and why no stop was ever sent."""
+
+    standing: bool = False
+    rate_dps: float | None = None
+    unsent: Exception | None = None
+
+    def told(self, within_s: float) -> str:
+        """What it was told and what it said, where it is not seen to stand."""
+        if self.unsent is not None:
+            reason = str(self.unsent).removesuffix(".")
+            return f"for {within_s:.0f} s no stop could be sent to it ({reason})"
+        last = f"{self.rate_dps:.4g} deg/s" if _is_known(self.rate_dps) else "nothing"
+        return f"it was told to stop for {within_s:.0f} s, and its last read-back was {last}"
+
+
+def stop_table(table: RateTable, clock: Clock, profile: Profile, within_s: float) -> Stop:
+    """Send stops until rate and angle both show a table at rest for a while.
 
     The two are independent: a late answer cannot pass for either, and a turning that one of them hides moves the
     other. Never raises: a port that is gone is tried again until the deadline.
     """
     deadline_s = clock.now_s() + within_s
     seen: list[TableReading] = []
-    last_dps: float | None = None
+    stop, sent = Stop(), False
     while True:
-        _attempt(table.send_stop)
+        _, error = _attempt(table.send_stop)
+        sent = sent or error is None
+        stop.unsent = None if sent else error
         sent_s = clock.now_s()
         clock.sleep(_STOP_PERIOD_S)
         reading, _ = _attempt(table.read)
         if reading is not None and reading.t_s >= sent_s:
-            last_dps = reading.rate_dps
+            stop.rate_dps = reading.rate_dps
             seen.append(reading)
             while not _together_at_rest(seen, profile.safe.standing_dps):
                 del seen[0]
             if len(seen) >= _STANDING_READINGS and seen[-1].t_s - seen[0].t_s >= _STANDING_S:
-                return True, last_dps
+                stop.standing = True
+                return stop
         if clock.now_s() >= deadline_s:
-            return False, last_dps
+            return stop
 
 
 def _together_at_rest(seen: list[TableReading], standing_dps: float) -> bool:

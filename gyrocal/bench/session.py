@@ -23,7 +23,7 @@ from gyrocal.bench.virtual.devices import virtual_bench
 from gyrocal.bench.watching import Summary, Watch
 from gyrocal.bench.wiring import ROLES, Prompt, is_virtual, open_bench
 from gyrocal.errors import InputError, InterruptedRunError, OutputError
-from gyrocal.records.journal import Recovered, RunWriter, create_run, is_stillborn, resume_run
+from gyrocal.records.journal import Recovered, RunWriter, create_run, resume_run
 from gyrocal.records.run import SCHEMA, Run, Sensor, read_run
 
 #: A simulated run states a fixed instant, so that the same seed gives the same bytes.
@@ -124,13 +124,15 @@ def acquire(config: AcquireConfig, watch: Watch, requests: StopRequests | None =
     """
     requests = requests or StopRequests()
     with listening(requests):
-        if config.resume and (config.out / "run.json").exists():
+        exists = (config.out / "run.json").exists()
+        if config.resume and exists:
             return _carry_on(config, watch, requests)
-        if config.resume and config.out.exists() and not is_stillborn(config.out):
+        if config.resume:
             raise InputError(
-                f"{config.out}: holds no run.json, so there is no run to carry on. Check the path."
+                f"{config.out}: holds no run.json, so there is no run to carry on. Check the path, or leave --resume out "
+                "to begin one."
             )
-        if (config.out / "run.json").exists():
+        if exists:
             msg = f"{config.out}: holds a run already. Add --resume to carry it on, or choose another --out."
             raise OutputError(msg)
         profile = _profile(config, None)

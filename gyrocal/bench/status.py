@@ -41,7 +41,10 @@ class Status:
     left_s : float
         Bench time that the steps left are expected to take; NaN where the profile is unknown.
     chamber_c, gyro_c, table_dps : float
-        Last readings; NaN where there are none.
+        Last readings; NaN where there are none. Of the table that of its stop, once it was made safe.
+    made_safe : dict or None
+        How the last start left the bench: ``table_stopped``, ``table_rate_dps``, ``chamber_setpoint_c``, ``chamber_error``;
+        None while it goes on, and where it died.
     quiet_s : float
         Since the run's files changed last, s by the wall clock.
     events : tuple of dict
@@ -61,6 +64,7 @@ class Status:
     chamber_c: float
     gyro_c: float
     table_dps: float
+    made_safe: dict[str, Any] | None
     quiet_s: float
     events: tuple[dict[str, Any], ...]
 
@@ -81,11 +85,19 @@ def read_status(path: Path, now: datetime | None = None) -> Status:
     events = [dict(event) for event in run.events]
     sealed = {record.id: record.outcome for record in run.segments}
     part = max((path / "data").glob("*.part"), key=lambda p: p.stat().st_mtime, default=None)
-    last = part or (path / run.segments[-1].file if run.segments else None)
-    readings = _last_readings(last) if last else {}
-    changed_s = max(p.stat().st_mtime for p in (path / "run.json", path / "journal.jsonl", last) if p)
+    last = [path / run.segments[-1].file] if run.segments else []
+    last += [part] if part else []
+    readings: dict[str, float] = {}
+    for segment in last:  # one that was just begun may hold nothing yet
+        readings |= _last_readings(segment)
+    changed_s = max(p.stat().st_mtime for p in (path / "run.json", path / "journal.jsonl", *last))
     quiet_s = (now or datetime.now(UTC)).timestamp() - changed_s
-    state, reason = _state(events, held=_is_held(path / "journal.jsonl"))
+    said = _last_start(events)
+    state, reason = _state(said, held=_is_held(path / "journal.jsonl"))
+    safe = next((e for e in reversed(said) if e.get("event") == "make_safe"), None)
+    if safe is not None:
+        rate_dps = safe.get("table_rate_dps")
+        readings["table_rate_dps"] = rate_dps if isinstance(rate_dps, int | float) else math.nan
     steps, left_s, planned = _plan_left(run.profile, sealed, events)
     outcomes = [outcome for number, outcome in sealed.items() if number in planned]
     return Status(
@@ -102,15 +114,20 @@ def read_status(path: Path, now: datetime | None = None) -> Status:
         chamber_c=readings.get("chamber_temp_c", math.nan),
         gyro_c=readings.get("gyro_temp_c", math.nan),
         table_dps=readings.get("table_rate_dps", math.nan),
+        made_safe=safe,
         quiet_s=max(quiet_s, 0.0),
         events=tuple(events[-_LAST_EVENTS:]),
     )
 
 
-def _state(events: list[dict[str, Any]], *, held: bool | None) -> tuple[str, str | None]:
-    """State by the last start's own words; without an end it runs as long as its journal is held."""
+def _last_start(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The journal's lines since the program was started last."""
     starts = [i for i, e in enumerate(events) if e.get("event") in ("start", "resume")]
-    said = events[starts[-1] :] if starts else []
+    return events[starts[-1] :] if starts else []
+
+
+def _state(said: list[dict[str, Any]], *, held: bool | None) -> tuple[str, str | None]:
+    """State by the last start's own words; without an end it runs as long as its journal is held."""
     for event in reversed(said):
         if event.get("event") == "end":
             return ("complete" if event.get("complete") else "incomplete"), None

@@ -65,6 +65,14 @@ class Export:
         }
 
 
+def check_prefix(prefix: str) -> None:
+    """Raise InputError where `prefix` cannot begin the names of a C header."""
+    if not re.fullmatch(r"[a-z_][a-z0-9_]*", prefix):
+        raise InputError(
+            f"the prefix is {prefix!r}; a C identifier of small letters, digits and underscores is wanted."
+        )
+
+
 def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: str = "gyrocal") -> Export:
     """C99 header with ``PREFIX_error``, ``PREFIX_correct`` and ``PREFIX_flags``, the float ones ending in ``f``.
 
@@ -80,10 +88,7 @@ def export_c_header(coefficients: Coefficients, ctype: CType = "both", prefix: s
     CoefficientError
         The file holds a runtime term that cannot be evaluated, or that has no C.
     """
-    if not re.fullmatch(r"[a-z_][a-z0-9_]*", prefix):
-        raise InputError(
-            f"--prefix is {prefix!r}; a C identifier of small letters, digits and underscores is wanted."
-        )
+    check_prefix(prefix)
     terms = coefficients.runtime_terms()
     parts = [_DOCUMENT, _GUARD]
     functions: list[str] = []

@@ -37,6 +37,9 @@ _NEVER = 1e-6
 #: More than this times the sample noise is much to be left: what drifts from data set to data set is mostly less.
 _MUCH = 3.0
 
+#: What is taken off an error before calibration, which any user of a gyro does without one.
+ABOUT_LINE = "the best scale factor and bias"
+
 
 @dataclass(frozen=True)
 class Table:
@@ -54,9 +57,9 @@ def verdict(c: Calibration) -> str:
         if c.sample_floor_dps is None
         else f"sample noise {dph(c.sample_floor_dps)} deg/h"
     )
-    what = "bias over temperature" if c.config.bias_only else "error"
+    what, about = ("bias over temperature", "its mean") if c.config.bias_only else ("error", ABOUT_LINE)
     return (
-        f"{what} {dph(c.before_dps)} -> {dph(c.after_dps)} deg/h rms, {_times(c.factor)}; "
+        f"{what} {dph(c.before_dps)} (about {about}) -> {dph(c.after_dps)} deg/h rms, {_times(c.factor)}; "
         f"{floor}; {_structure_part(c)}{_outlier_part(c)}{_stray_part(c)}"
     )
 

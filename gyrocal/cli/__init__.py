@@ -109,8 +109,13 @@ def main(arguments: list[str] | None = None) -> None:
         with to_whoever_listens():
             if debug:
                 traceback.print_exc()
-            click.echo(f"gyrocal: {error}", err=True)
+            click.echo(f"gyrocal: {error}{_notes(error)}", err=True)
         sys.exit(exit_code(error))
+
+
+def _notes(error: BaseException) -> str:
+    """What was noted on an error's way here, in lines of their own: how the bench was left."""
+    return "".join(f"\n{note}" for note in getattr(error, "__notes__", ()))
 
 
 def _as_a_program(debug: bool) -> None:
@@ -128,6 +133,6 @@ def _terminated(number: int, frame: FrameType | None) -> NoReturn:
 
 def _say_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     click.echo(
-        f"gyrocal: a bug, {kind.__name__}: {error}. Add --debug to see where, and report it.",
+        f"gyrocal: a bug, {kind.__name__}: {error}. Add --debug to see where, and report it.{_notes(error)}",
         err=True,
     )

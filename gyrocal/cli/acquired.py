@@ -53,10 +53,8 @@ def show_plan(profile: Profile, plan: Plan, as_json: bool) -> None:
 
 def brought_back(count: int) -> str:
     """How many segments were recorded beside the plan, as a sentence that follows others; empty where there are none."""
-    from gyrocal.units import plural
-
     return (
-        f" {count} more beside the plan, in which the bench {plural(count, '[was|were]')} brought back to a temperature."
+        f" {count} more beside the plan, in which the bench was brought back to a temperature."
         if count
         else ""
     )
@@ -73,7 +71,7 @@ def show_summary(out: Path, s: Summary) -> None:
         + brought_back(s.brought_back)
     )
     click.echo(
-        f"Bench time {duration(s.bench_time_s)}, {s.samples} gyro rows; the table made {s.turns_ccw:.1f} turns "
+        f"{'Of this start: bench' if s.before else 'Bench'} time {duration(s.bench_time_s)}, {s.samples} gyro rows; the table made {s.turns_ccw:.1f} turns "
         f"counter-clockwise and {s.turns_cw:.1f} clockwise, and stands."
         + ("" if s.seed is None else f" Seed of the virtual bench: {s.seed}.")
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import overwrite_option
+from gyrocal.cli.console import overwrite_option, scale_number
 
 
 @click.command("apply")
@@ -20,7 +20,10 @@ from gyrocal.cli.console import overwrite_option
 )
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="CSV to write.")
 @click.option(
-    "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Scale of a table in gyro_counts, sign included; as given to `fit`.",
 )
 @click.option(
     "--force-sensor",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress, scale_number
 from gyrocal.errors import OutOfLimitsError
 
 
@@ -21,7 +21,12 @@ from gyrocal.errors import OutOfLimitsError
     help="TOML: FIGURE = { most = NUMBER } (its size; or least), { low = NUMBER, high = NUMBER } (with its sign; or one of "
     'them), with state = "after" for that after compensation; pass or fail.',
 )
-@click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
+@click.option(
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Nominal scale of tables in gyro_counts, sign included.",
+)
 @click.option("--pdf", is_flag=True, help="Also write certificate.pdf (needs the extra gyrocal[pdf]).")
 @json_option
 def command(

@@ -6,12 +6,17 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress, scale_number
 
 
 @click.command("compare")
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
+@click.option(
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Nominal scale of tables in gyro_counts, sign included.",
+)
 @json_option
 def command(runs: tuple[Path, ...], counts_per_dps: float | None, as_json: bool) -> None:
     """Compare RUNS of one unit, in the order in which they were made: repeatability, before and after a repair.

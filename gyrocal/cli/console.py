@@ -31,6 +31,13 @@ def finite_number(_ctx: click.Context, _param: click.Parameter, value: float | N
     return value
 
 
+def scale_number(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    """Refuse what no scale of an output in counts can be: nothing, ``nan`` and ``inf``."""
+    if value is not None and not (value and math.isfinite(value)):
+        raise click.BadParameter("counts for each deg/s are wanted, sign included.")
+    return value
+
+
 #: What a terminal's table adds to each column.
 _RULES = 3
 #: Shares done at which a piped progress says a line.

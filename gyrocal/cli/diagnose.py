@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, finite_number, json_option, progress
+from gyrocal.cli.console import (
+    emit_json,
+    emit_list,
+    emit_table,
+    finite_number,
+    json_option,
+    progress,
+    scale_number,
+)
 from gyrocal.cli.log_options import drive_options
 
 if TYPE_CHECKING:
@@ -33,7 +41,10 @@ if TYPE_CHECKING:
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
 @click.option(
-    "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Scale of a table in gyro_counts, sign included; as given to `fit`.",
 )
 @click.option(
     "--bench-hours",

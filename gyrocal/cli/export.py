@@ -8,11 +8,22 @@ from typing import TYPE_CHECKING
 import click
 
 from gyrocal.cli.console import finite_number, overwrite_option
+from gyrocal.errors import InputError
 
 if TYPE_CHECKING:
     from gyrocal.calibration.export import CType
     from gyrocal.calibration.export_others import Axis
     from gyrocal.fusion.coefficients import Coefficients
+
+
+def _identifier(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
+    from gyrocal.calibration.export import check_prefix
+
+    try:
+        check_prefix(value)
+    except InputError as error:
+        raise click.BadParameter(str(error)) from error
+    return value
 
 
 @click.command("export")
@@ -35,7 +46,11 @@ if TYPE_CHECKING:
     help="Which functions to write.",
 )
 @click.option(
-    "--prefix", default="gyrocal", show_default=True, help="First part of every name in the header."
+    "--prefix",
+    default="gyrocal",
+    callback=_identifier,
+    show_default=True,
+    help="First part of every name in the header.",
 )
 @click.option(
     "--axis",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from gyrocal.cli.console import overwrite_option
+from gyrocal.cli.console import overwrite_option, scale_number
 
 if TYPE_CHECKING:
     from gyrocal.calibration.calibrate import Calibration
@@ -25,7 +25,12 @@ def _ids(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) 
 @click.option(
     "--output", "-o", required=True, type=click.Path(path_type=Path), help="Coefficient file to write (JSON)."
 )
-@click.option("--counts-per-dps", type=float, help="Nominal scale of a table in gyro_counts, sign included.")
+@click.option(
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Nominal scale of a table in gyro_counts, sign included.",
+)
 @click.option(
     "--weights",
     type=click.Choice(["gls", "ols"]),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, progress, scale_number
 
 
 @click.command("fleet")
@@ -14,7 +14,12 @@ from gyrocal.cli.console import emit_json, emit_list, emit_table, json_option, p
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the results.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes; as many as there are cores if not given.")
 @click.option("--dask", metavar="ADDRESS", help="Scheduler of a Dask cluster to work on, as tcp://host:8786.")
-@click.option("--counts-per-dps", type=float, help="Nominal scale of tables in gyro_counts, sign included.")
+@click.option(
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Nominal scale of tables in gyro_counts, sign included.",
+)
 @json_option
 def command(
     recordings: tuple[Path, ...],

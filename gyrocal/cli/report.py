@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gyrocal.cli.console import emit_json, emit_list, json_option, progress
+from gyrocal.cli.console import emit_json, emit_list, json_option, progress, scale_number
 
 
 @click.command("report")
@@ -20,7 +20,10 @@ from gyrocal.cli.console import emit_json, emit_list, json_option, progress
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="New directory for the report.")
 @click.option(
-    "--counts-per-dps", type=float, help="Scale of a table in gyro_counts, sign included; as given to `fit`."
+    "--counts-per-dps",
+    type=float,
+    callback=scale_number,
+    help="Scale of a table in gyro_counts, sign included; as given to `fit`.",
 )
 @click.option("--force-sensor", is_flag=True, help="Accept coefficients of another model or serial number.")
 @json_option

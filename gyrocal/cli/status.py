@@ -29,6 +29,7 @@ def command(run: Path, as_json: bool) -> None:
     Example:
       gyrocal status run
     """
+    from gyrocal.bench.safety import made_safe_text
     from gyrocal.bench.status import read_status
     from gyrocal.units import plural
 
@@ -47,6 +48,8 @@ def command(run: Path, as_json: bool) -> None:
         click.echo(f"Recording {s.now}.")
     if s.state not in ("complete", "incomplete") and s.left_s == s.left_s:
         click.echo(f"{_duration(s.left_s)} of bench time left.")
+    if s.made_safe is not None:
+        click.echo(made_safe_text(s.made_safe))
     readings = (("chamber", s.chamber_c, "°C"), ("gyro", s.gyro_c, "°C"), ("table", s.table_dps, "deg/s"))
     known = [f"{name} {value:.2f} {unit}" for name, value, unit in readings if value == value]
     click.echo(f"Last recorded: {', '.join(known) or 'nothing'}; last change {_duration(s.quiet_s)} ago.\n")

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.records.exchanged import exchanged_text
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -19,8 +21,6 @@ _NEAR = 0.15
 _COUNTS = 10.0
 #: An output that follows the rate by less does not follow it.
 _DEAD = 2e-3
-#: A plan has so many rates at least, each so often.
-_FEWEST_PLANNED, _REPEATS = 3, 2.0
 #: A data set that is further off than this many times the largest rate was not measured.
 _GROSS = 10.0
 #: A data set that is off the others' line by more than this share of the largest rate, and so many times what nine in ten are
@@ -398,19 +398,9 @@ def odd_columns(
 
 
 def odd_order(rate_dps: Floats, gyro_dps: Floats) -> Odd | None:
-    """Rate and output of a table in each other's place: the output repeats a few values of both signs, as plans do; else None.
-
-    No gyro puts out the same numbers in both directions, to the last digit, while a table never turns twice alike.
-    """
-    outputs, rates = np.unique(gyro_dps), np.unique(rate_dps)
-    few = outputs.size <= rate_dps.size / _REPEATS and rates.size > rate_dps.size / _REPEATS
-    if not few or outputs.size < _FEWEST_PLANNED or not np.array_equal(outputs, -outputs[::-1]):
-        return None
-    return Odd(
-        f"gyro_dps has {outputs.size} values in {rate_dps.size} rows, the same in both directions, and rate_dps {rates.size}: the two "
-        "seem to be swapped",
-        "Put the table's rate in rate_dps and the gyro's output in gyro_dps",
-    )
+    """Rate and output of a table in each other's place; else None."""
+    text = exchanged_text(rate_dps, gyro_dps)
+    return Odd(text, "Put the table's rate in rate_dps and the gyro's output in gyro_dps") if text else None
 
 
 def odd_temperature(temp_c: Floats) -> Odd | None:

@@ -11,7 +11,7 @@ import numpy as np
 import gyrocal
 from gyrocal.calibration.material import Material, Progress
 from gyrocal.calibration.residuals import ALARM_RATE
-from gyrocal.calibration.summary import STRUCTURE_WORDS
+from gyrocal.calibration.summary import ABOUT_LINE, STRUCTURE_WORDS
 from gyrocal.report import tables
 from gyrocal.report.drawings import DRAWINGS
 from gyrocal.report.page import Page, Picture, Table, render_page
@@ -104,17 +104,21 @@ def _verdict(m: Material, before_dph: float, after_dph: float) -> str:
     whose = "the recording that they were fitted to" if m.own else "a recording that they were not fitted to"
     if "source_sha256" not in m.coefficients.provenance:
         whose = "this recording (whether they were fitted to it, their file does not say)"
-    before = "about its mean" if m.one_rate else "about the best single scale factor"
     return (
-        f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms {before} to "
+        f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms about {_about(m)} to "
         f"{after_dph:.4g} deg/h rms, {before_dph / max(after_dph, 1e-12):.3g} times less, on {whose}."
     )
+
+
+def _about(m: Material) -> str:
+    """What is taken off the error before calibration."""
+    return "its mean" if m.one_rate else ABOUT_LINE
 
 
 def _key_figures(m: Material, before_dph: float, after_dph: float) -> list[tuple[str, str]]:
     sets = m.data.sets
     return [
-        ("Error before, rms", f"{before_dph:.4g} deg/h"),
+        (f"Error before, rms about {_about(m)}", f"{before_dph:.4g} deg/h"),
         ("Error after, rms", f"{after_dph:.4g} deg/h"),
         ("Factor", f"{before_dph / after_dph:.3g}"),
         ("Data sets", str(len(sets))),
@@ -165,8 +169,10 @@ def _tables(m: Material) -> list[Table]:
         tables.coefficient_table(m.coefficients),
         tables.noise_table(m.coefficients.noise),
         tables.marked_table(data, m.reasons),
-        tables.level_table(data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c"),
-        tables.level_table(data, data.sets.rate_dps, "error_by_rate", "Rate, deg/s", "rate_dps"),
+        tables.level_table(
+            data, data.sets.temp_c, "error_by_temperature", "Temperature, °C", "temp_c", _about(m)
+        ),
+        tables.level_table(data, data.sets.rate_dps, "error_by_rate", "Rate, deg/s", "rate_dps", _about(m)),
         tables.data_set_table(m.recording.source, data),
         tables.residual_table(data, m.reasons),
     ]

@@ -12,6 +12,8 @@ from gyrocal.units import MDPS, decimals
 _LARGE_DPS = 0.3
 #: Above the highest step there is room for its number.
 _HEADROOM = 1.15
+#: A bar that is higher than this share of the axis has room for its number within.
+_ROOM = 0.12
 _MOST_LAWS = 3
 #: A share so near to nothing or to all is told as that.
 _NEARLY = 0.01
@@ -101,19 +103,25 @@ def staircase_figure(d: Diagnosis) -> Figure:
     heights = [scale * layer.heldout_rms_dps for layer in d.layers]
     floors = [scale * layer.noise_floor_dps for layer in d.layers]
     axes.bar(at, heights, width=0.6, color=[style.ORANGE, *[style.BLUE] * (len(heights) - 1)])
-    for x, floor in zip(at, floors, strict=True):
-        axes.plot([x - 0.4, x + 0.4], [floor, floor], color=style.INK, linewidth=1.2)
+    left, right = [x - 0.4 for x in at], [x + 0.4 for x in at]
+    axes.hlines(floors, left, right, color=style.INK, linewidth=1.2, label="what noise alone would leave")
+    top = _HEADROOM * max(*heights, *floors)
     places = decimals(min(floors))
     for x, height, floor in zip(at, heights, floors, strict=True):
+        # Over a line of noise that lies above the bar the number would be read as the noise's.
+        within = height < floor and height > _ROOM * top
         axes.annotate(
             fixed(height, places),
-            (x, max(height, floor)),
-            xytext=(0, 2),
+            (x, height),
+            xytext=(0, -2 if within else 2),
             textcoords="offset points",
             ha="center",
+            va="top" if within else "bottom",
+            color="white" if within else style.INK,
             fontsize=7,
         )
-    axes.set_ylim(0.0, _HEADROOM * max(*heights, *floors))
+    axes.set_ylim(0.0, top)
+    figure.legend(loc="outside upper right")
     axes.set_xticks(list(at), [_broken(layer_words(d, layer)) for layer in d.layers])
     axes.set_ylabel(f"Left out, {unit} rms")
     axes.grid(visible=False, axis="x")

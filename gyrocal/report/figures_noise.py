@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from gyrocal.calibration.corrected import Floats
-from gyrocal.calibration.figure import Interval
+from gyrocal.calibration.figure import Interval, value_said
 from gyrocal.calibration.noise import NoiseFigures
 from gyrocal.report import style
 from gyrocal.units import DEG_PER_RT_H_TO_DPS_PER_RT_HZ, DPS_TO_DPH
@@ -47,11 +47,11 @@ def allan_deviation(noise: NoiseFigures) -> Figure:
     axes.set_ylim(*axes.get_ylim())
     if noise.angle_random_walk_deg_per_rt_h is not None:
         slope = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * DPS_TO_DPH / np.sqrt(tau)
-        name = "angle random walk {:.3g} ({:.3g} to {:.3g}) deg/√h"
+        name = "angle random walk {} deg/√h"
         _part(axes, tau, slope, noise.angle_random_walk_deg_per_rt_h, style.ORANGE, name)
     if noise.bias_instability_deg_per_h is not None:
         flat = np.full(tau.shape, _FLAT)
-        name = f"bias instability B = {{:.3g}} ({{:.3g}} to {{:.3g}}) deg/h; line at {_FLAT:.3f} B"
+        name = f"bias instability B = {{}} deg/h; line at {_FLAT:.3f} B"
         _part(axes, tau, flat, noise.bias_instability_deg_per_h, style.GREEN, name)
     axes.set_xlabel("Averaging time τ, s")
     axes.set_ylabel("Allan deviation, deg/h")
@@ -66,5 +66,5 @@ def allan_deviation(noise: NoiseFigures) -> Figure:
 def _part(axes: Axes, tau_s: Floats, unit: Floats, interval: Interval, colour: str, name: str) -> None:
     """Line of one part of the noise with the band of its interval."""
     value, low, high = interval
-    axes.plot(tau_s, value * unit, color=colour, linestyle="--", label=name.format(*interval))
+    axes.plot(tau_s, value * unit, color=colour, linestyle="--", label=name.format(value_said(*interval)))
     axes.fill_between(tau_s, low * unit, high * unit, color=colour, alpha=0.15, linewidth=0)

@@ -213,8 +213,8 @@ def marked_table(data: Examined, reasons: Mapping[int, str]) -> Table:
     return Table("outliers", "Outliers and unsettled data sets", columns, rows, text, "Listed, not dropped.")
 
 
-def level_table(data: Examined, values: Floats, name: str, title: str, unit: str) -> Table:
-    """Error before and after in each level of rate or temperature."""
+def level_table(data: Examined, values: Floats, name: str, title: str, unit: str, about: str) -> Table:
+    """Error before, as measured, and after in each level of rate or temperature; the page's own is `about` something."""
     found, tight = levels(values, most=64, bins=12)
     before = np.array([rms(data.sets.error_dps[level.rows]) for level in found])
     after = np.array([rms(data.residual_dps[level.rows]) for level in found])
@@ -240,8 +240,9 @@ def level_table(data: Examined, values: Floats, name: str, title: str, unit: str
             "mean_residual_dps": mean,
         }
     )
-    columns = (title, "Data sets", "rms before, deg/h", "rms after, deg/h", "mean after, deg/h")
-    return Table(name, f"Error by {title.split(',')[0].lower()}", columns, rows, text)
+    columns = (title, "Data sets", "rms as measured, deg/h", "rms after, deg/h", "mean after, deg/h")
+    note = f"As measured: nothing is taken off. The error before at the top of the page is about {about}."
+    return Table(name, f"Error by {title.split(',')[0].lower()}", columns, rows, text, note)
 
 
 def scatter_table(signed: SignedScatter, tested: ScatterByRate | None) -> Table:

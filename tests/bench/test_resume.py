@@ -115,10 +115,9 @@ def kill_and_resume(
         patch.setattr(files, "os", disk)
         with pytest.raises(Killed):
             start(profile, out)
-    before = {}
-    if (out / "run.json").exists():
-        before = {s.file: s.sha256 for s in read_run(out).segments}
-    start(profile, out, resume=True)
+    begun = (out / "run.json").exists()
+    before = {s.file: s.sha256 for s in read_run(out).segments} if begun else {}
+    start(profile, out, resume=begun)
     after = {s.file: s.sha256 for s in read_run(out).segments}
     for file, digest in before.items():
         assert after[file] == digest == sha256_of_file(out / file)
@@ -169,7 +168,7 @@ def test_killed_again_while_resuming(monkeypatch: pytest.MonkeyPatch, profile: P
             patch.setattr(journal, "os", disk)
             patch.setattr(files, "os", disk)
             with pytest.raises(Killed):
-                start(profile, out, resume=out.exists())
+                start(profile, out, resume=(out / "run.json").exists())
     start(profile, out, resume=True)
     check_completed(out, tmp_path / "whole")
     assert len(events(out, "resume")) == 5
@@ -183,9 +182,10 @@ def kill_process_and_resume(tmp_path: Path, delays_s: list[float]) -> int:
     path.write_text(toml(tiny(plan__rates_dps=[5.0 * k for k in range(1, 20)])))
     start(path, whole)
     met = 0
-    command = [sys.executable, "-m", "gyrocal", "acquire", str(path), "--out", str(out), "--resume"]
+    command = [sys.executable, "-m", "gyrocal", "acquire", str(path), "--out", str(out)]
     for delay_s in delays_s:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        begun = ["--resume"] if (out / "run.json").exists() else []
+        process = subprocess.Popen([*command, *begun], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 30.0
         while not (out / "run.json").exists() and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -250,11 +250,14 @@ def test_a_run_is_not_begun_over_another(profile: Path, tmp_path: Path) -> None:
         start(profile, tmp_path / "r")
 
 
-def test_there_must_be_a_run_to_carry_on(profile: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["nothing", "empty", "notes"])
+def test_there_must_be_a_run_to_carry_on(profile: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "x").write_text("mine")
-    with pytest.raises(InputError, match="there is no run to carry on"):
-        start(profile, tmp_path / "notes", resume=True)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"there is no run to carry on.*leave --resume out"):
+        start(profile, tmp_path / name, resume=True)
+    assert not (tmp_path / name / "run.json").exists()
 
 
 def test_a_bad_profile_makes_no_directory(tmp_path: Path, profile: Path) -> None:
@@ -264,8 +267,11 @@ def test_a_bad_profile_makes_no_directory(tmp_path: Path, profile: Path) -> None
     assert not (tmp_path / "r").exists()
 
 
-def test_interrupted_then_resumed_says_what_happened(profile: Path, tmp_path: Path) -> None:
+def test_interrupted_then_resumed_says_what_happened(
+    profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from gyrocal.bench.safety import StopRequests
+    from gyrocal.cli.acquired import show_summary
 
     requests = StopRequests()
 
@@ -280,6 +286,12 @@ def test_interrupted_then_resumed_says_what_happened(profile: Path, tmp_path: Pa
     assert summary.before == 5
     assert summary.recorded == 12
     assert summary.brought_back == 2  # the extra ramp and soak
+    show_summary(tmp_path / "r", summary)
+    said = capsys.readouterr().out
+    assert (
+        "(5 of them before this start). 2 more beside the plan, in which the bench was brought back" in said
+    )
+    assert "\nOf this start: bench time " in said
     (line,) = events(tmp_path / "r", "resume")
     assert line["left"] == 7
     assert line["virtual_world"] == "restarted at 21 deg C, table at rest"

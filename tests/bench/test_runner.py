@@ -306,7 +306,7 @@ def test_interlocks_end_the_run_and_make_safe(
     trip = caught.value.__context__ if name == "over-rate" else caught.value
     assert isinstance(trip, InterlockError)
     assert sentence in str(trip)
-    assert str(trip).endswith("The bench was made safe; find the cause, then --resume.")
+    assert str(trip).endswith(". Find the cause, then --resume.")
     assert stand.table.motions[-1] == "stop"
     assert stand.chamber.setpoints[-1] == 22.0
 

@@ -90,7 +90,8 @@ def test_verdict_is_one_line_with_all_that_is_asked(result: Calibration) -> None
     line = verdict(result)
     assert "\n" not in line
     pattern = (
-        r"error [\d,.]+ -> [\d,.]+ deg/h rms, [\d.]+ times smaller; sample noise [\d.]+ deg/h; no structure"
+        r"error [\d,.]+ \(about the best scale factor and bias\) -> [\d,.]+ deg/h rms, [\d.]+ times smaller; "
+        r"sample noise [\d.]+ deg/h; no structure"
     )
     assert re.match(pattern, line)
     assert result.factor > 100

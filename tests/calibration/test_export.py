@@ -358,6 +358,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert header.read_text(encoding="utf-8") == text
     assert json.loads(facts)["coefficients_sha256"] == digest
     assert run.invoke(gyrocal_command, ["export", str(source), "--json"]).exit_code == 2
+    wrong = run.invoke(gyrocal_command, ["export", str(source), "--prefix", "1 bad"])
+    assert wrong.exit_code == 2
+    assert "Invalid value for '--prefix': the prefix is '1 bad'; a C identifier" in wrong.output
     onto_itself = run.invoke(gyrocal_command, ["export", str(source), "-o", str(source), "--overwrite"])
     assert "is an input of this command" in str(onto_itself.exception)
     assert source.read_text(encoding="utf-8").startswith("{")

@@ -284,6 +284,8 @@ def test_bad_runs(
 
 def test_exclude_wants_numbers(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(table, "-o", tmp_path / "c.json", "--exclude", "first") == 2
+    for scale in ("0", "nan", "inf"):
+        assert call(table, "-o", tmp_path / "c.json", "--counts-per-dps", scale) == 2
     assert "give numbers of data sets" in capsys.readouterr().err
 
 

@@ -53,6 +53,18 @@ def test_every_figure_twice_and_one_page(written: Path) -> None:
     assert "KVH E-Core RD2100 virtual-1" in page
 
 
+def test_each_error_before_says_what_it_is_about(written: Path) -> None:
+    page = (written / "report.html").read_text(encoding="utf-8")
+    assert "deg/h rms about the best scale factor and bias to " in page
+    assert "Error before, rms about the best scale factor and bias<" in page
+    assert page.count("rms as measured, deg/h") == 2
+    assert "rms before" not in page
+    note = (
+        "As measured: nothing is taken off. The error before at the top of the page is about the best scale"
+    )
+    assert page.count(note) == 2
+
+
 def test_tables_hold_all_data_sets(written: Path) -> None:
     sets = load_recording(RUN).sets
     assert (written / "tables/data_sets.csv").read_bytes() == TABLE.read_bytes()

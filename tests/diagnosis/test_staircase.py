@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
 from scipy.stats import multivariate_normal
 
 from gyrocal.diagnosis.engine import Options, diagnose
@@ -111,6 +112,16 @@ def test_the_picture_says_what_each_step_adds(stepped: Diagnosis) -> None:
     axes = staircase_figure(stepped).axes[0]
     words = [label.get_text().replace("\n", "") for label in axes.get_xticklabels()]
     assert words[:2] == ["surfacealone", "scale_step"]
+
+
+def test_the_picture_has_a_legend_and_no_number_of_a_bar_stands_over_the_line_of_the_noise() -> None:
+    layers = (Layer("", 0.2, 0.1, 0.0), Layer("scale_step", 0.08, 0.1, 0.0), Layer("lag", 0.005, 0.1, 0.0))
+    figure = staircase_figure(cast(Diagnosis, SimpleNamespace(layers=layers, effects=())))
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["what noise alone would leave"]
+    numbers = [n for n in figure.axes[0].texts if isinstance(n, Annotation)]
+    assert [n.xy[1] for n in numbers] == pytest.approx([200.0, 80.0, 5.0])
+    assert [n.get_verticalalignment() for n in numbers] == ["bottom", "top", "bottom"]
 
 
 @pytest.mark.slow

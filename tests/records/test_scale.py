@@ -225,3 +225,16 @@ def test_rate_and_output_in_each_others_place_are_told() -> None:
     assert odd_order(output(), np.round(output(), 0)) is None
     # A simulation without errors has the rates for an output, and rates of its own.
     assert odd_order(RATE, RATE) is None
+
+
+@pytest.mark.parametrize("scatter_dps", [3e-5, 2e-3])
+def test_rates_that_a_table_read_back_are_seen_in_the_outputs_place(scatter_dps: float) -> None:
+    rng = np.random.default_rng(3)
+    read = np.round(RATE + scatter_dps * rng.standard_normal(RATE.size), 6)
+    said = read * (1.0 + 2e-3 * rng.standard_normal(RATE.size)) + 0.01
+    odd = odd_order(said, read)
+    assert odd is not None
+    assert "gyro_dps has 11 values (within " in odd.what
+    assert odd_order(read, said) is None
+    # A gyro without a bias that scatters as the table does, which then cannot be told from it.
+    assert odd_order(read, read + scatter_dps * rng.standard_normal(RATE.size)) is None

@@ -14,6 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Path3DCollection
 from gyrocal.calibration import figure
 from gyrocal.calibration.corrected import Span, Timeline
 from gyrocal.calibration.noise import AllanPoints, NoiseFigures
+from gyrocal.calibration.summary import said
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.report import figures_error, figures_noise, figures_residual, figures_run, style
 from gyrocal.report.scatter import signed_scatter
@@ -176,8 +177,22 @@ def test_the_line_of_the_bias_instability_says_where_it_lies() -> None:
     noise = NoiseFigures(figures, "seen", "", (points,), None, 1000.0)
     axes = figures_noise.allan_deviation(noise).axes[0]
     (line,) = [found for found in axes.lines if "bias instability" in str(found.get_label())]
-    assert line.get_label() == "bias instability B = 1.5 (1 to 2) deg/h; line at 0.664 B"
+    assert line.get_label() == "bias instability B = 1.50 (1.00 to 2.00) deg/h; line at 0.664 B"
     np.testing.assert_allclose(np.asarray(line.get_ydata(), dtype=float), 1.5 * 0.664, rtol=1e-3)
+
+
+def test_the_legend_has_the_digits_of_the_page() -> None:
+    tau, every = np.array([1.0, 10.0]), np.ones(2, dtype=np.bool_)
+    points = AllanPoints(
+        0.1, tau, 1e-3 / tau, 0.9e-3 / tau, 1.1e-3 / tau, np.full(2, 9.0), every, np.zeros(2)
+    )
+    walk = figure.Figure("angle_random_walk", "deg/√h", "N", 0.09950, 0.0985, 0.1005)
+    bias = figure.Figure("bias_instability", "deg/h", "B", reason="not seen")
+    figures = {"angle_random_walk": walk, "bias_instability": bias}
+    drawn = figures_noise.allan_deviation(NoiseFigures(figures, "", "", (points,), None, 1000.0))
+    labels = [str(line.get_label()) for line in drawn.axes[0].lines]
+    assert f"angle random walk {said(walk)} deg/√h" in labels
+    assert said(walk) == "0.0995 (0.0985 to 0.1005)"
 
 
 def test_figure_2_says_what_it_leaves_out_and_has_the_minus_of_the_axes() -> None:

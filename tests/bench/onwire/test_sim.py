@@ -238,15 +238,16 @@ def test_a_program_that_was_killed_is_carried_on_against_the_same_bench(tmp_path
     out = tmp_path / "r"
     with sim("--profile", str(virtual), "--gyro", "kvh-dsp3000") as lines:
         wired_path = with_lines(profile, lines, tmp_path / "wired.toml")
-        command = [sys.executable, "-m", "gyrocal", "acquire", str(wired_path), "--out", str(out), "--resume"]
+        command = [sys.executable, "-m", "gyrocal", "acquire", str(wired_path), "--out", str(out)]
+        resume = [*command, "--resume"]
         for kills in range(3):
-            with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+            with subprocess.Popen(resume if kills else command, stderr=subprocess.DEVNULL) as process:
                 deadline = time.monotonic() + 120.0
                 while len(list(out.glob("data/*dps*.csv"))) < 3 + 2 * kills and time.monotonic() < deadline:
                     time.sleep(0.05)
                 process.kill()
             assert read_status(out).state == "dead"
-        subprocess.run(command, check=True, timeout=600)
+        subprocess.run(resume, check=True, timeout=600)
     run = read_run(out)
     plan = [record for record in run.segments if record.id <= 10]
     assert sorted(record.id for record in plan) == list(range(1, 11))
@@ -274,6 +275,7 @@ def test_a_signal_stops_the_table_on_the_wire(tmp_path: Path, number: signal.Sig
             said = process.stderr.read()
             assert process.wait(120.0) == 130, said
         assert f"Ended by {number.name}; what was sealed is kept" in said
+        assert "\nThe table stands. The chamber is set to " in said
         (line,) = events(out, "make_safe")
         assert line["table_stopped"] is True
         assert abs(line["table_rate_dps"]) < 0.05

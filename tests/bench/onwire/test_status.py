@@ -91,6 +91,36 @@ def test_a_run_that_was_ended(tmp_path: Path) -> None:
     assert status.left_s > 0.0
     text = CliRunner().invoke(gyrocal_command, ["status", str(tmp_path / "r")]).output
     assert "was ended early: the cable fell out; --resume carries on.\n" in text
+    # What the table did last was to stop, whatever the segment that was left behind had recorded.
+    assert abs(status.table_dps) < 0.02
+    assert "\nThe table stands. The chamber is set to 22 °C.\nLast recorded: " in text
+    assert "table 0.00 deg/s" in text
+
+
+def test_a_chamber_that_could_not_be_made_safe_is_told(tmp_path: Path) -> None:
+    def fail(call: str) -> None:
+        if call.startswith("chamber") and stand.watch.seen and stand.watch.seen[-1].step.id == 4:
+            raise DeviceError("the cable fell out")
+
+    stand = Stand(tmp_path / "r", fail)
+    with pytest.raises(DeviceError):
+        run(stand)
+    text = CliRunner().invoke(gyrocal_command, ["status", str(tmp_path / "r")]).output
+    assert (
+        "The table stands. THE CHAMBER MAY NOT BE SAFE: it did not take its safe set point (the cable" in text
+    )
+
+
+def test_a_run_that_was_killed_as_a_segment_began_tells_what_was_sealed_before(tmp_path: Path) -> None:
+    stand = Stand(tmp_path / "r")
+    with start(stand) as writer:
+        writer.event("start", 0.0, steps=12, expected_s=100.0)
+        whole = writer.begin_segment(1, "rate", 30.0, 20.0)
+        whole.append("1.0,30.0,20.5,0,30.0,1.0,20.25,\n")
+        whole.seal(t_start_s=1.0, t_end_s=1.0, n=1, averaging_s=None, outcome="ok")
+        writer.begin_segment(2, "rate", -30.0, 20.0).abandon()
+    status = read_status(tmp_path / "r")
+    assert (status.chamber_c, status.gyro_c, status.table_dps) == (20.25, 20.5, 30.0)
 
 
 def test_what_a_reason_says_is_not_said_twice(tmp_path: Path) -> None:
