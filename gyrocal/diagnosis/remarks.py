@@ -74,6 +74,7 @@ class Said(Enum):
     TRUTH_RADIANS = auto()
     TRUTH_CLOCKWISE = auto()
     TRUTH_MIRRORED = auto()
+    TRUTH_SENSOR = auto()
     UNEVEN_CLOCK = auto()
     # What was found in it.
     GYRO_COLUMN = auto()

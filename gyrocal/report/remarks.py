@@ -124,6 +124,24 @@ def _sides_differ(
     )
 
 
+def _truth_sensor(
+    lever_ahead: tuple[float, float] | None = None,
+    lever_left: tuple[float, float] | None = None,
+    clock: tuple[float, float] | None = None,
+) -> str:
+    def told(figure: tuple[float, float], unit: str, positive: str, negative: str) -> str:
+        value, std = figure
+        return f"{abs(value):.3g} ± {NORMAL_95 * std:.1g} {unit} {positive if value > 0.0 else negative}"
+
+    places = [
+        *([told(lever_ahead, "m", "ahead", "behind")] if lever_ahead else []),
+        *([told(lever_left, "m", "to the left", "to the right")] if lever_left else []),
+    ]
+    where = [f"is of a point {' and '.join(places)} of the robot's middle"] if places else []
+    when = [f"is {told(clock, 's', 'late', 'early')}"] if clock else []
+    return f"the truth {' and '.join(where + when)} (95 %): that is taken out where paths are laid on it here; `replay` leaves it in"
+
+
 def _no_sure_gain(
     chance: float, rates: int, temps: int, one_way: bool, no_gain: bool, surface_alone: bool
 ) -> str:
@@ -285,6 +303,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.TRUTH_UNIT: "the truth's positions are {times:g} times too large: they are taken in {unit}",
     Said.TRUTH_RADIANS: "the truth's heading is in radians: it is taken as such",
     Said.TRUTH_CLOCKWISE: "the truth's heading turns clockwise, as a compass's does, and is taken as such",
+    Said.TRUTH_SENSOR: _truth_sensor,
     Said.TRUTH_MIRRORED: "the truth follows the path in a mirror only (y and x swapped, y or the gyro of the wrong sign?), "
     "so it was left aside",
     Said.UNEVEN_CLOCK: "time stamps scatter by {jitter_ms:.2g} ms about an even clock of {usual_ms:.3g} ms",

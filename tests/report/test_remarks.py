@@ -62,6 +62,12 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.MEANS_OF_ROWS, {"half_row_s": 0.05}, "Where rows hold the mean rate since the row before, as `replay` takes them (samples: 0.05 s more)"),
         (Said.STANDS, {"total_s": 20.6, "most_mps": 0.028}, "the speed reads up to 0.028 m/s where the gyro is as still as its own noise: 21 s are taken as rests"),
         (Said.CREEPS, {}, "it creeps there in an even bend, and no rest is taken of it"),
+        (
+            Said.TRUTH_SENSOR,
+            {"lever_ahead": (0.4991, 0.0013), "lever_left": (-0.2, 0.0013), "clock": (0.25, 0.01)},
+            "the truth is of a point 0.499 ± 0.003 m ahead and 0.2 ± 0.003 m to the right of the robot's middle and is 0.25 ± 0.02 s late (95 %)",
+        ),
+        (Said.TRUTH_SENSOR, {"clock": (-0.25, 0.01)}, "the truth is 0.25 ± 0.02 s early (95 %): that is taken out"),
         (Said.TRUTH_MIRRORED, {}, "the truth follows the path in a mirror only"),
     ],
 )  # fmt: skip

@@ -204,6 +204,8 @@ def _examined(
     parts = of_truth(yaw, truth)
     refused = refused_rest(log.t_s, log.left_m, log.right_m, log.gyro_dps, robot.static_s)
     notes += [*instants(yaw, truth), *([Remark(Said.NO_REST, {"why": refused})] if refused else [])]
+    if truth is not None and truth.sensor:
+        notes.append(Remark(Said.TRUTH_SENSOR, dict(truth.sensor)))
     clock = uneven_clock(log.t_s)
     return Examined(
         series,
@@ -237,7 +239,7 @@ def _shown(
     for name, other in others:
         series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
         before, after = (filed(series, one.parameters) for one in (robot, better))
-        shown.append(_compared(series, before, after, name))
+        shown.append(_compared(series, before, after, found.truth, name))
     if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
         return shown
     split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
@@ -250,7 +252,7 @@ def _shown(
     if not found.series.rested and not found.series.calibrated:
         # One switch-on: the bias is that of the first part.
         after = replace(after, bias_dps=believed_bias(part.yaw, part.truth))
-    rest_of_it = _compared(found.series, before, after, from_row=split)
+    rest_of_it = _compared(found.series, before, after, part.truth, from_row=split)
     return [*shown, _beside_its_noise(rest_of_it, found.truth, found.series.t_s[split:])]
 
 
@@ -265,11 +267,18 @@ def _beside_its_noise(shown: Shown, truth: TruthAnswer, t_s: Floats) -> Shown:
 
 
 def _compared(
-    series: DriveSeries, before: Figures, after: Figures, name: str = "", from_row: int = 0
+    series: DriveSeries,
+    before: Figures,
+    after: Figures,
+    seen_by: TruthAnswer | None,
+    name: str = "",
+    from_row: int = 0,
 ) -> Shown:
+    """Two paths of a log laid on its truth, as a sensor sees them of which another part or log has told where it is."""
     share = _FITTED if from_row else 0.0
     truth = (series.truth_x_m + 1j * series.truth_y_m)[from_row:]
-    paths = [reckon(series, figures).at_m[from_row:] for figures in (before, after)]
+    reckoned = [reckon(series, figures) for figures in (before, after)]
+    paths = [(p.at_m if seen_by is None else seen_by.seen(p))[from_row:] for p in reckoned]
     if np.count_nonzero(np.isfinite(truth)) < 3:
         apart = float(np.sqrt(np.mean(np.abs(paths[0] - paths[1]) ** 2)))
         return Shown(name, share, paths[0], paths[1], truth, float("nan"), float("nan"), apart)

@@ -38,8 +38,8 @@ from gyrocal.diagnosis.drive.path_noise import (
 )
 from gyrocal.diagnosis.drive.path_problem import PathProblem, beside_uneven, oddities, one_sided, spins
 from gyrocal.diagnosis.drive.path_strangers import BIAS_PARTS, ONE_SIZE, SPINNING, path_strangers
-from gyrocal.diagnosis.drive.reckoning import Figures, Floats, Reckoned, reckon, since_last
-from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, Ints
+from gyrocal.diagnosis.drive.reckoning import Complexes, Figures, Floats, Reckoned, reckon, since_last
+from gyrocal.diagnosis.drive.series import NODE_S, DriveSeries, Ints, between_rows
 from gyrocal.diagnosis.drive.yaw import YawNoise
 from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 
@@ -57,6 +57,10 @@ _ODD, _MIRRORED_BY, _MIRRORED_BETTER = 0.03, 60.0, 3.0
 Uneven = Literal["asked", "shown", "held"]
 #: What a gyro's turns to the one side are usually off by more than those to the other, of its scale's error: half the difference.
 UNEVEN = 0.2
+
+
+#: Where a truth has its sensor, m, and how late it is, s.
+_SENSOR = ("lever_ahead", "lever_left", "clock")
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,20 @@ class TruthAnswer:
     def believed(self, name: str) -> bool:
         """Whether a scale is sure: far from zero for the noise."""
         return abs(self.told(name)) > BELIEVED
+
+    @property
+    def sensor(self) -> dict[str, tuple[float, float]]:
+        """Of ``lever_ahead``, ``lever_left`` and ``clock`` what is sure, each with its standard deviation."""
+        return {n: (self.values[n], self.stds[n]) for n in _SENSOR if self.believed(n)}
+
+    def seen(self, path: Reckoned) -> Complexes:
+        """Positions of a path as the truth has them, shape (n,): where on the robot its sensor is, and as late."""
+        ahead, left, late_s = (self.sensor.get(n, (0.0, 0.0))[0] for n in _SENSOR)
+        at_m = path.at_m + (ahead + 1j * left) * np.exp(1j * path.heading_rad)
+        if late_s == 0.0:
+            return np.asarray(at_m)
+        x_m, y_m = (between_rows(path.t_s - late_s, path.t_s, x) for x in (at_m.real, at_m.imag))
+        return np.asarray(x_m + 1j * y_m)
 
 
 def _rows(series: DriveSeries) -> Ints:
