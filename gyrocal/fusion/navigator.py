@@ -132,7 +132,8 @@ class Navigator:
     kind : {'model', 'paper'}
         The drive model (`gyrocal.fusion.model`), or the paper's nine states and its white measurement noise.
     filtering : bool
-        False: orientation from the gyro alone, distance from the encoders; with the model, bias from every rest.
+        False: orientation from the gyro alone, distance from the encoders; with the model, bias from every rest, which also takes back
+        what it did to the path before: where the bias was not known, a robot that stands leaps, by metres after a long way.
     estimate_scale : bool, optional
         In the paper's filter: whether the gyro's scale factor is estimated; None: where there are no `coefficients`.
     power_on_t_s : float, optional
