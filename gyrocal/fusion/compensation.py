@@ -35,11 +35,10 @@ class Compensator:
     terms : tuple of Part
     not_applied : tuple of str
         Terms that a robot does not see: effects of the bench (``runtime: false``).
+    memories : list
+        What the terms remember of the samples so far; each block makes a new one.
 
-    Raises
-    ------
-    CoefficientError
-        A term that this program does not know, or that a robot cannot evaluate.
+    CoefficientError for a term that this program does not know, or that a robot cannot evaluate.
     """
 
     def __init__(self, coefficients: Coefficients) -> None:
@@ -47,7 +46,7 @@ class Compensator:
         self.terms = coefficients.runtime_terms()
         self.not_applied = tuple(term.name for term in coefficients.terms if not term.runtime)
         self._covariance = joint_covariance(coefficients.covariance_dps2, self.terms)
-        self._memories: list[Memory] = [None] * len(self.terms)
+        self.memories: list[Memory] = [None] * len(self.terms)
         self._courses: list[Memory] = [None] * len(self.terms)
 
     def correct(
@@ -56,12 +55,8 @@ class Compensator:
     ) -> Any:  # fmt: skip
         """Corrected rate, deg/s; scalars in, float out. NaN where there is no solution or no finite input.
 
-        A supply that is not read (NaN) counts as that of the recording.
-
-        Raises
-        ------
-        CoefficientError
-            A term needs the time since power-on, and it was not given.
+        A supply that is not read (NaN) counts as that of the recording. CoefficientError where a term needs the time since
+        power-on, and it was not given.
         """
         gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s, supply_v)
         rate = self._solve(gyro, c).rate_dps
@@ -77,7 +72,7 @@ class Compensator:
         where the file has it, otherwise that of each term by itself. The noise of the sample is not in it.
         """
         gyro, c = self._channels(t_s, gyro_dps, temp_c, since_power_on_s, supply_v)
-        before = self._memories
+        before = self.memories
         solved = self._solve(gyro, c)
         at_rate = replace(c, rate_dps=solved.rate_dps)
         surface, flags = self.coefficients.surface, self.coefficients.flags(gyro, c.temp_c)
@@ -103,6 +98,6 @@ class Compensator:
         return gyro, Conditions(t, gyro, temp, since_power_on_s=since, supply_v=supply)
 
     def _solve(self, gyro: Floats, c: Conditions) -> Solution:
-        solved = solve_rate(self.coefficients.surface, self.terms, self._memories, gyro, c)
-        self._memories = solved.memories
+        solved = solve_rate(self.coefficients.surface, self.terms, self.memories, gyro, c)
+        self.memories = solved.memories
         return solved

@@ -25,9 +25,12 @@ from gyrocal.units import DEG_TO_RAD, RAD_TO_DEG
 # B_rb, B_s, 1/(1 + S_R), 1/(1 + S_L), D.
 X, Y, PSI, PHI, BIAS, SCALE, RIGHT, LEFT, WIDTH = range(9)
 # Memory: last speed and rate, running median of the time step, the last row, steps without encoders, the last
-# temperature, whether the robot has moved; how far what follows its motion has come, 0 to 1; how long its wheels have stood.
-SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND, LAST_TEMP, MOVED, MOVING, STOOD = range(9, 20)
-MEMORY_SIZE = 20
+# temperature, whether the robot has moved; how far what follows its motion has come, 0 to 1; how long its wheels have stood;
+# whether speed and rate of the row before may be from before a gap.
+SPEED, RATE, PERIOD, LAST_LEFT, LAST_RIGHT, LAST_GYRO, BLIND, LAST_TEMP, MOVED, MOVING, STOOD, TORN = range(
+    9, 21
+)
+MEMORY_SIZE = 21
 
 # Figures: variances per metre, per radian turned, per second, per second, of a measurement; gate squared; gap factor;
 # bias in deg/s, its slope and the temperature where it holds, its step once the robot has moved, and while it moves, with
@@ -93,6 +96,7 @@ def usable(nav: Any, figures: Any, counts: Any, dt: float, left: float, right: f
     gap = nav[PERIOD] > 0.0 and dt > figures[GAP] * nav[PERIOD]
     if gap:
         counts[GAPS] += 1
+        nav[TORN] = 1.0
     if nav[PERIOD] == 0.0:
         nav[PERIOD] = dt
     elif dt > nav[PERIOD]:
@@ -340,4 +344,7 @@ def step(
 ) -> Any:  # fmt: skip
     """`navigate` for a single row: the same numbers; whether they are finite."""
     _take(nav, m, figures, counts, dt, left, right, gyro, temp, out, 0, filtering)
-    return math.isfinite(nav[X] + nav[Y] + nav[PSI] + nav[PHI])
+    total = nav[X] + nav[Y] + nav[PSI] + nav[PHI]
+    for i in range(_N):
+        total += m[D, i]
+    return math.isfinite(total)

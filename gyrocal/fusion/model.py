@@ -22,7 +22,7 @@ import numpy as np
 # isort: off
 from gyrocal.fusion.filter import (
     BIAS, BIAS_WALK, BLIND, DRIFT, FILE_LEFT, FILE_RIGHT, FILE_SCALE, FILE_WIDTH, GATE, GATED, LAST_TEMP, LEFT, MOVED, MOVED_M,
-    MOVING, NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STEP, TEMP, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
+    MOVING, NU, PHI, PLACE, PSI, RATE, RIGHT, SCALE, SLIP, SPEED, STD, STEP, TEMP, TORN, TURN, UNIT, UPDATES, WALK, WIDTH, X, Y,
     MEMORY_SIZE as PAPER_SIZE, part, rate_of, usable, whole,
 )  # fmt: skip
 
@@ -104,6 +104,11 @@ def _row(
     # the row before (the sculling of inertial navigation, of two samples).
     chord = travel * (1.0 - turned * turned / 24.0)
     aside = (travel * turn_before - way_before * turned) / 12.0
+    if nav[TORN] > 0.0:
+        # What was before a gap tells nothing of the course within it, and in it a robot may turn many times.
+        half = 0.5 * turned
+        chord, aside = travel * (math.sin(half) / half if half != 0.0 else 1.0), 0.0
+        nav[TORN] = 0.0 if encoders and gyro and dt > 0.0 else 1.0
     sin, cos = math.sin(nav[PHI] + 0.5 * turned), math.cos(nav[PHI] + 0.5 * turned)
     nav[X] += cos * chord - sin * aside
     nav[Y] += sin * chord + cos * aside
@@ -387,4 +392,9 @@ def step(
 ) -> Any:  # fmt: skip
     """`navigate` for a single row: the same numbers; whether they are finite."""
     _take(nav, p, figures, counts, dt, left, right, gyro, temp, smooth, out, 0, filtering)
-    return math.isfinite(nav[X] + nav[Y] + nav[PSI] + nav[PHI])
+    # What the node has gathered goes into the covariance at its end, by products.
+    node = nav[TRAVEL] * nav[TRAVEL] + nav[ACROSS] * nav[ACROSS] + nav[TURNED] * nav[TURNED]
+    total = nav[X] + nav[Y] + nav[PSI] + nav[PHI] + node * node
+    for i in range(_N):
+        total += p[i, i]
+    return math.isfinite(total)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,8 @@ Floats = NDArray[np.float64]
 
 #: The bias of a rest is where the model starts; the rows of the rest then settle it.
 _REST_STD_DPS = 0.05
-_NOT_FINITE = "position or heading is no longer finite: check units and scale of distances and gyro."
+_NOT_FINITE = "position or heading would no longer be finite: check units and scale of distances and gyro. What was given is left out, and the navigator stays as it was."
+_NO_NUMBER = "time step and readings are numbers; give NaN for a reading that is missing."
 #: Spacing of the model's nodes, s, where the encoders are not smoothed over longer.
 NODE_S = 0.1
 
@@ -131,46 +132,57 @@ class Navigator:
     kind : {'model', 'paper'}
         The drive model (`gyrocal.fusion.model`), or the paper's nine states and its white measurement noise.
     filtering : bool
-        False: orientation from the gyro alone, distance from the encoders; with the model, bias from every rest.
+        False: orientation from the gyro alone, distance from the encoders; with the model, bias from every rest, which also takes back
+        what it did to the path before: where the bias was not known, a robot that stands leaps, by metres after a long way.
     estimate_scale : bool, optional
         In the paper's filter: whether the gyro's scale factor is estimated; None: where there are no `coefficients`.
     power_on_t_s : float, optional
         When the gyro was switched on, for calibrations that know its warm-up.
+    start_t_s : float
+        Time from which `step` counts its `dt_s`, on the clock of `power_on_t_s`: that of the first row. `run` has it from its times.
     """
 
     def __init__(
         self, robot: RobotParameters, coefficients: Coefficients | None = None, *, kind: str = "model",
         filtering: bool = True, static_bias_dps: float | None = None, static_temp_c: float | None = None,
-        estimate_scale: bool | None = None, power_on_t_s: float | None = None,
+        estimate_scale: bool | None = None, power_on_t_s: float | None = None, start_t_s: float = 0.0,
     ) -> None:  # fmt: skip
         # numba takes a while to load, and who only reads coefficients needs none of it.
         from gyrocal.fusion import filter as paper
         from gyrocal.fusion import model
 
+        if kind not in ("model", "paper"):
+            raise DataError(f"there is no filter {kind!r}; kind is 'model' or 'paper'.")
         if static_bias_dps is not None and not math.isfinite(static_bias_dps):
             raise DataError(f"the static bias is {static_bias_dps} deg/s; take it from a record at rest.")
         self.robot, self.coefficients, self.filtering, self.kind = robot, coefficients, filtering, kind
         loop = model if kind == "model" else paper
-        self.t_s, self._loop, self._unit = math.nan, loop, np.array(paper.UNIT)
+        self.t_s, self._start_t_s, self._loop, self._unit = math.nan, start_t_s, loop, np.array(paper.UNIT)
         self._compensator = None if coefficients is None else Compensator(coefficients)
         self._power_on_t_s, self._temp_c = power_on_t_s, math.nan
-        self._counts, self._flagged = np.zeros(paper.COUNTS_SIZE, dtype=np.int64), np.zeros(3, dtype=np.int64)
         self._figures = _figures(robot, coefficients is not None, static_bias_dps, static_temp_c)
-        self._nav = np.zeros(loop.MEMORY_SIZE)
+        nav = np.zeros(loop.MEMORY_SIZE)
         constants = [paper.WIDTH, paper.RIGHT, paper.LEFT, paper.SCALE]
-        self._nav[constants] = self._figures[paper.FILE_WIDTH : paper.FILE_SCALE + 1]
-        self._nav[paper.LAST_TEMP] = self._figures[paper.TEMP]
+        nav[constants] = self._figures[paper.FILE_WIDTH : paper.FILE_SCALE + 1]
+        nav[paper.LAST_TEMP] = self._figures[paper.TEMP]
         self._out = np.full((1, paper.COLUMNS), math.nan)
         self._heading = 2 if filtering and kind == "paper" else 6
         std = np.array(astuple(robot.initial_std)) / paper.UNIT
         if kind == "model":
             std[STATES.index("gyro_bias_error_dps")] = DEG_TO_RAD * _bias_std_dps(robot, static_bias_dps)
-            self._matrix = model.initial_covariance(std, self._figures)
+            matrix = model.initial_covariance(std, self._figures)
         else:
-            self._matrix = np.eye(paper.MATRIX_ROWS, 9)
-            self._matrix[paper.D, paper.PLACE] = std**2
+            matrix = np.eye(paper.MATRIX_ROWS, 9)
+            matrix[paper.D, paper.PLACE] = std**2
             if not (coefficients is None if estimate_scale is None else estimate_scale):
-                self._matrix[paper.D, paper.SCALE] = 0.0
+                matrix[paper.D, paper.SCALE] = 0.0
+        # All that rows change lies in one piece, so that a row that is refused is quickly undone.
+        self._state = np.concatenate([nav, matrix.ravel(), np.zeros(paper.COUNTS_SIZE + 3)])
+        self._kept = self._state.copy()
+        ends = np.cumsum([nav.size, matrix.size, paper.COUNTS_SIZE])
+        self._nav, flat, counts, flagged = np.split(self._state, ends)
+        self._matrix = flat.reshape(matrix.shape)
+        self._counts, self._flagged = counts.view(np.int64), flagged.view(np.int64)
 
     @property
     def counts(self) -> Counts:
@@ -193,7 +205,8 @@ class Navigator:
 
         `left_m` and `right_m` are the distances of the wheels since the row before, `gyro_dps` is the raw output.
         `smooth_dps` is what smoothing the gyro as the encoders are smoothed would add (`Aligner`), for the model.
-        DataError where time is not finite or goes back, lengths differ, or the result is no longer finite.
+        DataError where time is not finite or goes back, lengths differ, or the result would no longer be finite; the navigator
+        then stays as it was before these rows.
         """
         t = np.array(t_s, dtype=np.float64, ndmin=1)
         dt = np.diff(t, prepend=t[:1] if math.isnan(self.t_s) else self.t_s)
@@ -205,24 +218,41 @@ class Navigator:
     ) -> Row:  # fmt: skip
         """Take one row, `dt_s` after the row before (0 for the very first); the same numbers as by `run`.
 
-        Give floats: an integer in the place of one makes numba compile once more.
+        A reading that is missing is NaN. DataError as from `run`; the navigator then stays as it was before the row.
         """
+        try:
+            dt_s, left_m, right_m, gyro_dps = float(dt_s), float(left_m), float(right_m), float(gyro_dps)
+            warm, smooth_dps = math.nan if temp_c is None else float(temp_c), float(smooth_dps)
+        except (TypeError, ValueError):
+            raise DataError(f"row {self._counts[0]}: {_NO_NUMBER}") from None
         if not 0.0 <= dt_s < math.inf:
             self._refuse_time(np.array([dt_s]))
-        flags = 0
+        self._keep()
+        t, flags = dt_s + (self.t_s if self.t_s == self.t_s else self._start_t_s), 0
         if self._compensator is not None:
-            t = dt_s if math.isnan(self.t_s) else self.t_s + dt_s
-            rates, flagged = self._compensate(np.array([t]), np.array([float(gyro_dps)]), temp_c)
+            rates, flagged = self._compensate(np.array([t]), np.array([gyro_dps]), temp_c)
             gyro_dps, flags = float(rates[0]), int(flagged[0])
-        warm = math.nan if temp_c is None else temp_c
         finite = self._loop.step(
             self._nav, self._matrix, self._figures, self._counts, dt_s, left_m, right_m, gyro_dps, warm, smooth_dps,
             self._out, self.filtering,
         )  # fmt: skip
         if not finite:
-            raise DataError(_NOT_FINITE)
-        self.t_s = dt_s if self.t_s != self.t_s else self.t_s + dt_s
+            self._undo()
+        self.t_s = t
         return Row(self.t_s, self._out.copy(), self._heading, flags)
+
+    def _keep(self) -> None:
+        """Note all that rows change, the memory of the calibration too."""
+        self._kept[:] = self._state
+        self._memory = self._temp_c, [] if self._compensator is None else self._compensator.memories
+
+    def _undo(self) -> NoReturn:
+        """Go back to what was kept, and refuse what came since."""
+        self._state[:] = self._kept
+        self._temp_c, memories = self._memory
+        if self._compensator is not None:
+            self._compensator.memories = memories
+        raise DataError(_NOT_FINITE)
 
     def _refuse_time(self, dt: Floats) -> None:
         k = int(np.argmin((dt >= 0.0) & np.isfinite(dt)))
@@ -239,14 +269,15 @@ class Navigator:
         if not left.shape == right.shape == gyro.shape == t.shape:
             msg = "time, distances and gyro differ in their number of rows: give one of each in a row."
             raise DataError(msg)
+        self._keep()
         rate, flags = self._compensate(t, gyro, temp)
         warm = np.array(np.broadcast_to(math.nan if temp is None else temp, t.shape), dtype=np.float64)
         added = np.array(np.broadcast_to(smooth, t.shape), dtype=np.float64)
         out = np.empty((t.size, self._out.shape[1]))
         carried = (self._nav, self._matrix, self._figures, self._counts)
         self._loop.navigate(*carried, dt, left, right, rate, warm, added, out, self.filtering)
-        if not np.isfinite(self._nav[:9]).all():
-            raise DataError(_NOT_FINITE)
+        if not (np.isfinite(self._nav[:9]).all() and np.isfinite(self._matrix).all()):
+            self._undo()
         self.t_s = float(t[-1]) if t.size else self.t_s
         states, std = out[:, : len(STATES)], out[:, len(STATES) : 2 * len(STATES)]
         x, y, heading = (states[:, k] for k in (0, 1, self._heading))

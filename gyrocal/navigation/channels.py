@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.errors import DataError
 from gyrocal.navigation.sanity import turn_part_fault
+from gyrocal.navigation.stuck_wheel import StuckWheel, refuse_stuck, stuck_said, stuck_wheels
 from gyrocal.navigation.survey import BIN_S, MIN_TURN_DEG, WINDOW_S, Survey, sliding
 from gyrocal.records.leaps import FASTEST_ROBOT_MPS, FASTEST_VEHICLE_MPS
 from gyrocal.records.scale import WORST_SCALE, odd_temperature
@@ -63,7 +67,7 @@ def check_cells(
             raise DataError(msg)
     fast_dps = float(np.quantile(np.abs(gyro_dps), 1.0 - _FASTEST_SHARE)) if gyro_dps.size else 0.0
     if fast_dps > _FASTEST_DPS:
-        msg = f"{name}: gyro_dps is beyond {fast_dps:,.0f} deg/s in a twentieth of the drive, and no robot turns so fast: it is in deg/h, or in counts. Write it in deg/s, or state its unit in a mapping with --columns."
+        msg = f"{name}: gyro_dps is beyond {fast_dps:,.0f} deg/s in a twentieth of the drive, and no robot turns so fast: it is in mdeg/s (1,000 times), in deg/h (3,600 times), or in counts. Write it in deg/s, or state its unit in a mapping with --columns."
         raise DataError(msg)
     odd = odd_temperature(temp_c) if temp_c.size else None
     if odd is not None:
@@ -81,7 +85,7 @@ def check_speed(name: str, fast_mps: float, *, speed_only: bool) -> None:
         if speed_only:
             msg = f"{name}: the vehicle goes {fast_mps:,.0f} m/s by its column of speed or distance, and none is so fast: speed_mps is in m/s, speed_m in metres since the row before. Correct that column, or state its unit in a mapping with --columns."
             raise DataError(msg)
-        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. left_ticks and right_ticks are counts since the start. Check unit and metres_per_tick, or map the columns with --columns."
+        msg = f"{name}: the encoders say {fast_mps:.3g} m/s; left_m and right_m are distances since the row before, in metres. left_ticks and right_ticks are counts since the start. Check their unit, metres_per_tick, and the clock (t_s in minutes makes 60 times the speed), or map the columns with --columns."
         raise DataError(msg)
 
 
@@ -108,7 +112,25 @@ def check(found: Survey, wheel_separation_m: float) -> tuple[str, ...]:
     _check_stuck(found, wheel_separation_m, stuck)
     if found.speed_only:
         return _check_rates(found)
-    return (*_stuck_said(stuck), *_check_turns(found, wheel_separation_m), *_rests_said(found))
+    t_s, sides = found.bin_s + found.t_start_s, (found.left_m, found.right_m)
+    wheels = stuck_wheels(t_s, *sides, found.gyro_deg, wheel_separation_m)
+    refuse_stuck(name, wheels, found.duration_s)
+    return (
+        *stuck_said(wheels, bridged=False),
+        *_stuck_said(stuck),
+        *_check_turns(_without(found, wheels), wheel_separation_m),
+        *_rests_said(found),
+    )
+
+
+def _without(found: Survey, stuck: Sequence[StuckWheel]) -> Survey:
+    """The log as if it stood while a wheel is stuck, which tells nothing of turns."""
+    end_s = found.bin_s + found.t_start_s
+    sound = np.all([(end_s <= w.since_s) | (end_s > w.until_s) for w in stuck], axis=0) if stuck else True
+    left_m, right_m, gyro_deg = (
+        np.where(sound, v, 0.0) for v in (found.left_m, found.right_m, found.gyro_deg)
+    )
+    return replace(found, left_m=left_m, right_m=right_m, gyro_deg=gyro_deg)
 
 
 #: From when to when, and how much the wheels do meanwhile.

@@ -25,7 +25,7 @@ from gyrocal.navigation.align import (
 from gyrocal.navigation.channels import check
 from gyrocal.navigation.empty_cells import LONGEST_S, bridged
 from gyrocal.navigation.equip import DriveSource, aligned, equip
-from gyrocal.navigation.fixes import wild_fixes, wild_said
+from gyrocal.navigation.fixes import no_fixes
 from gyrocal.navigation.judge import Judgement, judge, left_to_gyro
 from gyrocal.navigation.lost_ways import FEWEST, lost_ways
 from gyrocal.navigation.observability import Observability, observability
@@ -126,6 +126,7 @@ def replay_log(
     judgements = _judge(tracks, kind)
     _check_truth(found, next(iter(tracks.values())), t_s, truth)
     compared = tuple(_compare(track, truth, found, method, returns) for track in tracks.values())
+    notes += [leap for track in compared if (leap := _leap_said(track, t_s, truth))]
     said, seen = tuple(dict.fromkeys(notes)), _seen(compared)
     direction = _direction(compared[0])
     return LogReplay(source.name, direction, found, t_s, truth, compared, seen, said, judgements, kind)
@@ -163,10 +164,9 @@ def _completed(source: DriveSource) -> tuple[DriveSource, Survey, list[str]]:
 def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Floats:
     """The truth without fixes that cannot be, and with headings along the course of its positions; both go into the notes."""
     way_m = np.cumsum(np.hypot(np.diff(track.x_m, prepend=0.0), np.diff(track.y_m, prepend=0.0)))
-    wild = wild_fixes(truth[:, 0], truth[:, 1], way_m)
-    if wild.any():
-        notes.append(wild_said(wild, t_s))
-    truth = np.where(wild[:, None], np.nan, truth)
+    none, said = no_fixes(t_s, truth[:, 0], truth[:, 1], way_m)
+    notes.extend(said)
+    truth = np.where(none[:, None], np.nan, truth)
     off_deg = turned_deg(track.pose, truth)
     if off_deg:
         notes.append(
@@ -176,12 +176,36 @@ def _mended(truth: Floats, track: Track, t_s: Floats, notes: list[str]) -> Float
     return np.asarray(truth - np.array([0.0, 0.0, off_deg]))
 
 
+def _leap_said(track: Track, t_s: Floats, truth: Floats) -> str | None:
+    """That a rest took back a path which began without a bias, and the error before, where the error told at the end is less than the leap."""
+    leap, known = track.leap, np.flatnonzero(np.isfinite(truth[:, 0] + truth[:, 1]))
+    if (
+        leap is None
+        or track.bias
+        or not track.alignment
+        or not track.errors
+        or leap.way_m < track.errors.end_m
+    ):
+        return None
+    k = known[min(int(np.searchsorted(t_s[known], leap.t_s)), known.size - 1)]
+    x, y = track.alignment.apply(np.array([leap.x_m, track.x_m[k]]), np.array([leap.y_m, track.y_m[k]]))
+    before, after = np.hypot(truth[k, 0] - x, truth[k, 1] - y)
+    return (
+        f"{track.condition.label}: at t_s = {leap.t_s:.1f} the robot stands, which tells the gyro's bias, and the path before is taken back by it: the pose leaps by "
+        f"{leap.way_m:.3g} m and {leap.turn_deg:.3g} deg. Its error there is {before:.3g} m before that, as a robot on its way has it, and {after:.3g} m after"
+    )
+
+
 def _possible(
     found: Survey, robot: Robot, coefficients: Coefficients | None, notes: list[str]
 ) -> list[Condition]:
     """The conditions that log and calibration allow; what is missing goes into the notes."""
     if robot.static_s == 0.0:
-        left_to = "nothing takes its error off" if found.speed_only else "its error is left to the filter"
+        left_to = (
+            "nothing but a rest on the way takes its error off"
+            if found.speed_only
+            else "its error is left to the filter, and without it to the rests on the way"
+        )
         notes.append(
             f"static_s = 0: the robot does not stand at the start, so no static bias was taken; {left_to}"
         )

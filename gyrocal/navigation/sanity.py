@@ -143,7 +143,7 @@ def truth_fault(path: Floats, truth: Floats) -> str | None:
     if in_radians(path[:, 2], truth[:, 2]):
         return RADIANS
     fault = way_fault(own, told) or mirror_fault(own, told) or (CLOCKWISE if clockwise(path, truth) else None)
-    return fault or heading_fault(path, truth)
+    return fault or backwards_fault(path, truth) or heading_fault(path, truth)
 
 
 RADIANS = (
@@ -240,10 +240,25 @@ def turned_deg(path: Floats, truth: Floats) -> float:
     Arrays as in `truth_fault`. A body that is carried sideways or backwards, or a frame of the truth's own.
     """
     mean = _of_course(path, truth)
-    if mean is None or abs(mean.along) < _GOES_WITH:
+    if mean is None or abs(mean.along) < _GOES_WITH or _backwards(mean):
         return 0.0
     off_deg = float(np.degrees(np.angle(mean.along)))
     return -off_deg if abs(off_deg) > _TURNED_BY_DEG else 0.0
+
+
+def backwards_fault(path: Floats, truth: Floats) -> str | None:
+    """What is wrong with wheels by which a robot backs up all along that goes forward by the truth; arrays as in `truth_fault`."""
+    mean = _of_course(path, truth)
+    if mean is None or not _backwards(mean):
+        return None
+    return "the wheels run backwards: by its own positions and headings the truth goes forward all along, and by its wheels the robot backs up. State sign = -1 for their way in a mapping with --columns; of two sides for both, and left for right, for they turn as the gyro does; or, if the robot did back up, offset = 180 for the truth's heading, which is its course then."
+
+
+def _backwards(mean: _Course) -> bool:
+    """Whether the truth's headings are the course of its positions as it stands, and against it where the path tells forward from back."""
+    turned = np.degrees(np.abs(np.angle([mean.plain, mean.along])))
+    goes = min(abs(mean.plain), abs(mean.along)) > _GOES_WITH
+    return bool(goes and turned[0] < _TURNED_BY_DEG and turned[1] > 180.0 - _TURNED_BY_DEG)
 
 
 def heading_fault(path: Floats, truth: Floats) -> str | None:
@@ -255,11 +270,15 @@ def heading_fault(path: Floats, truth: Floats) -> str | None:
 
 
 class _Course(NamedTuple):
-    """Means of unit vectors over stretches: the course of a truth's positions less its heading, plus it, and less the path's heading."""
+    """Means of unit vectors over stretches: the course of a truth's positions less its heading, plus it, and less the path's heading.
+
+    The course is of a robot that backs up where the path does; `plain` is the first without that.
+    """
 
     along: complex
     against: complex
     path: complex
+    plain: complex
 
 
 def _of_course(path: Floats, truth: Floats) -> _Course | None:
@@ -275,7 +294,7 @@ def _of_course(path: Floats, truth: Floats) -> _Course | None:
     step, seen = (np.diff((p[:, 0] + 1j * p[:, 1])[marks]) for p in (own, told))
     ahead, said = (np.add.reduceat(np.exp(1j * np.radians(p[:, 2])), marks)[:-1] for p in (own, told))
     course = np.angle(seen * np.sign(np.real(step * np.conj(ahead))))
-    headings = np.angle(said), -np.angle(said), np.angle(ahead)
+    headings = np.angle(said), -np.angle(said), np.angle(ahead), np.angle(said) + course - np.angle(seen)
     return _Course(*(complex(np.mean(np.exp(1j * (course - heading)))) for heading in headings))
 
 

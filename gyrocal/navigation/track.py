@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,16 @@ CONDITIONS = (
 )
 
 
+class Leap(NamedTuple):
+    """The row in which a rest takes a path that has no filter back, by the bias that the rest tells, and the pose before it."""
+
+    t_s: float
+    way_m: float
+    turn_deg: float
+    x_m: float
+    y_m: float
+
+
 @dataclass(frozen=True)
 class Track:
     """A log navigated in one condition, at the kept rows.
@@ -63,6 +74,8 @@ class Track:
         without: root mean square over all rows; NaN for the paper's filter.
     robot : RobotParameters
         What the filter was told, noise estimated on this log included.
+    leap : Leap, optional
+        The largest; None with the filter, and without a rest that tells the bias.
     alignment, errors, heading_errors : None where there is no truth of positions, or of headings
     """
 
@@ -82,6 +95,7 @@ class Track:
     drift_m: float
     bias: StaticBias | None
     robot: RobotParameters
+    leap: Leap | None = None
     alignment: Alignment | None = None
     errors: PositionErrors | None = None
     heading_errors: HeadingErrors | None = None
@@ -108,6 +122,7 @@ class Recorder:
         self._pair_sum, self._last = 0.0, 0.0
         self._drift_sum, self._rows = 0.0, 0
         self._slow_sum, self._sums, self._waiting = 0.0, 0, np.zeros(0)
+        self._pose, self._leap = np.zeros(3), None if navigator.filtering else Leap(0.0, 0.0, 0.0, 0.0, 0.0)
 
     def add(self, t: Trajectory, keep: NDArray[np.bool_]) -> None:
         """Take the rows that are kept, and the innovations of all."""
@@ -121,6 +136,8 @@ class Recorder:
             t.innovation_sigma_deg,
         )
         self._parts.append([a[keep] for a in arrays])
+        if self._leap is not None and t.t_s.size:
+            self._leap = self._larger(self._leap, t)
         self._drift_sum += float(t.drift_m @ t.drift_m)
         self._rows += t.drift_m.size
         normalised = t.innovation_deg / t.innovation_sigma_deg
@@ -133,6 +150,17 @@ class Recorder:
             sums, self._waiting = summed(np.concatenate([self._waiting, normalised]))
             self._slow_sum += float(sums @ sums)
             self._sums += sums.size
+
+    def _larger(self, leap: Leap, t: Trajectory) -> Leap:
+        """The larger one of a leap and those of the next rows: without the filter nothing but a rest is measured."""
+        pose = np.vstack([self._pose, np.stack([t.x_m, t.y_m, t.heading_deg], axis=1)])
+        self._pose = pose[-1]
+        step = np.diff(pose, axis=0)
+        way_m = np.where(np.isfinite(t.innovation_deg), np.hypot(step[:, 0], step[:, 1]), 0.0)
+        k = int(np.argmax(way_m))
+        if way_m[k] <= leap.way_m:
+            return leap
+        return Leap(*(float(v) for v in (t.t_s[k], way_m[k], step[k, 2], pose[k, 0], pose[k, 1])))
 
     def track(self, condition: Condition, rest: Rest | None) -> Track:
         """What was recorded."""
@@ -163,4 +191,5 @@ class Recorder:
             math.sqrt(self._drift_sum / self._rows) if self._rows else math.nan,
             rest.bias if rest else None,
             navigator.robot,
+            self._leap if self._leap is not None and self._leap.way_m > 0.0 else None,
         )

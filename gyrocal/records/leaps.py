@@ -19,6 +19,8 @@ FASTEST_ROBOT_MPS, FASTEST_VEHICLE_MPS = 30.0, 100.0
 _FEWEST_MOVING, _MOST_SHARE = 20, 0.01
 #: Bits of the counters of encoders; how near a leap comes to their modulus, and how much faster than the usual row it is.
 _BITS, _NEAR, _SUDDEN = (15, 16, 24, 31, 32), 0.05, 20.0
+#: A counter that read one number for so many rows before it leapt stood.
+_STOOD = 3
 
 
 class Leaps:
@@ -62,13 +64,27 @@ class Leaps:
             counts = steps_m[told[k]] / self._metres
             msg = f"{where} leaps by {counts:.0f} counts, nearly 2^{round_[k]}: the counter goes round. Map the columns with --columns, and give this one wrap = {2 ** int(round_[k])} there."
             raise InputError(msg)
-        empty = (
-            " or leave it empty: a counter goes on behind it"
-            if self._rule.unit.total
-            else " or leave it empty"
+        stays = self._rule.unit.total and k + 1 < told.size and k + 1 not in leaps
+        msg = f"{where} is {values[told[k]]:.10g}, which is a way of {steps_m[told[k]]:,.0f} m in {since_s[k]:.3g} s, and no vehicle goes so fast. "
+        raise InputError(
+            msg + (self._counts_on(values[told], told + first_line, k) if stays else self._cell())
         )
-        msg = f"{where} is {values[told[k]]:.10g}, which is a way of {steps_m[told[k]]:,.0f} m in {since_s[k]:.3g} s, and no vehicle goes so fast. Repair the cell{empty}."
-        raise InputError(msg)
+
+    def _cell(self) -> str:
+        """What to do with a single cell that is wrong."""
+        empty = ": a counter goes on behind it" if self._rule.unit.total else ""
+        return f"Repair the cell or leave it empty{empty}."
+
+    def _counts_on(self, values: Floats, lines: NDArray[np.int64], k: int) -> str:
+        """What to do with a counter that leaps and counts on from there; `values` in the rows that have one, before row k too."""
+        since = k - 1
+        while since > 0 and values[since - 1] == values[k - 1]:
+            since -= 1
+        if abs(values[k] * self._metres) <= FASTEST_VEHICLE_MPS * self._usual_dt_s:
+            return "The counter restarts from 0 here, and the rows behind count on from that. Cut the log there, or add what it read before to each of them."
+        if k - since >= _STOOD:
+            return f"The counter stood from line {lines[since]} on and leaps here to what it would read. Leave its cells of lines {lines[since] + 1} to {lines[k - 1]} empty, or cut them out."
+        return "The rows behind count on from there: the counter was set anew. Cut the log there, or add what it leapt by to each of them."
 
     def _goes_round(self, went_m: Floats, since_s: Floats) -> NDArray[np.int64]:
         """Bits of the counter that went round in each row; 0 where none did."""

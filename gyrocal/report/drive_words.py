@@ -19,7 +19,7 @@ from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS, GYRO_SCALE
 from gyrocal.report.page import Table
-from gyrocal.report.remarks import statement
+from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.words import listed, part_words, region_words, times_text
 from gyrocal.units import NORMAL_95, p_equals
 
@@ -43,7 +43,7 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     diagnosis = found.diagnosis
     lines = [_first_sentence(found)]
     lines += [_effect_sentence(e) for e in diagnosis.effects]
-    lines += [_shown_sentence(s) for s in found.shown]
+    lines += [_shown_sentence(s) + _wrong_with(s) for s in found.shown]
     left = [place for place in diagnosis.located if place.remains]
     off = "the robot file grants as much"
     if found.series.robot.static_s > 0:
@@ -112,6 +112,12 @@ def _other(a: Alternative) -> str:
     if a.evidence_ratio < 1.0:
         return f"{a.effect} (likelier: {times_text(-np.log(a.evidence_ratio))} to 1 for it)"
     return f"{a.effect} ({a.evidence_ratio:.2g} to 1 against it)"
+
+
+def _wrong_with(shown: Shown) -> str:
+    if not shown.wrong:
+        return ""
+    return f". Of {shown.log}: {'; '.join(remark_words(note) for note in shown.wrong)}"
 
 
 def _shown_sentence(shown: Shown) -> str:

@@ -380,6 +380,25 @@ def test_missing_cells_and_gaps_are_bridged() -> None:
     assert error < 4.0 * np.hypot(out.std[-1, 0], out.std[-1, 1])
 
 
+@pytest.mark.parametrize("gap_s", [1.0, 60.0, 3600.0])
+@pytest.mark.parametrize("turn_deg", [0.0, 720.0])
+def test_over_a_gap_the_robot_moves_by_the_way_of_its_wheels(gap_s: float, turn_deg: float) -> None:
+    navigator = Navigator(ROBOT, filtering=False)
+    for _ in range(200):
+        before = navigator.step(0.05, 0.045, 0.055, 30.0)
+    # The wheels go 0.1 m while nobody reads the gyro: straight on, or on a curve that comes round twice.
+    half_m = 0.5 * WIDTH * np.radians(turn_deg)
+    after = navigator.step(gap_s, 0.1 - half_m, 0.1 + half_m, 0.0)
+    way_m = np.hypot(after.x_m - before.x_m, after.y_m - before.y_m)
+    assert way_m == pytest.approx(0.0 if turn_deg else 0.1, abs=1e-9)
+    # Nor has the course before the gap to do with the row after it, whose gyro may be missing.
+    for gyro_dps in (np.nan, 0.0):
+        before, after = after, navigator.step(0.05, 0.05, 0.05, gyro_dps)
+        along = np.exp(1j * np.radians(before.heading_deg))
+        went = complex(after.x_m - before.x_m, after.y_m - before.y_m)
+        assert went == pytest.approx(0.05 * along, abs=1e-9)
+
+
 def test_a_slip_beyond_the_gate_is_the_wheels() -> None:
     drive = draw(np.random.default_rng(14))
     k = 600

@@ -19,12 +19,14 @@ from gyrocal.fusion import (
     Coefficients,
     FilterNoise,
     InitialStd,
+    Navigator,
     RobotParameters,
     Valid,
 )
 from gyrocal.fusion.coefficients import FLAG_NOT_FINITE, FLAG_RATE, FLAG_TEMPERATURE
 from gyrocal.physics.surface import Surface
 from tests.fusion.drive import paper
+from tests.fusion.test_compensation import coefficients, entry
 
 Floats = NDArray[np.float64]
 ROBOT = RobotParameters(0.5)
@@ -151,8 +153,63 @@ def test_lengths_that_differ_are_refused() -> None:
 
 
 def test_absurd_distances_are_refused() -> None:
-    with pytest.raises(DataError, match=r"no longer finite: check units"):
+    with pytest.raises(DataError, match=r"no longer be finite: check units"):
         paper(ROBOT).run([0.0, 0.1], [0.0, 1e308], [0.0, 1e308], [0.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", ["model", "paper"])
+@pytest.mark.parametrize("row", [(0.05, 0.06, 1e308), (1e200, 1e200, 1.0), (1e308, 1e308, 1.0)])
+def test_a_row_that_is_refused_changes_nothing(kind: str, row: tuple[float, float, float]) -> None:
+    spoilt, other, sound = (Navigator(ROBOT, kind=kind) for _ in range(3))
+    for navigator in (spoilt, other, sound):
+        for k in range(50):
+            navigator.step(0.05, 0.04 + 1e-4 * k, 0.05, 10.0)
+    with pytest.raises(DataError, match=r"no longer be finite.*stays as it was"):
+        spoilt.step(0.05, *row)
+    with pytest.raises(DataError, match=r"no longer be finite.*stays as it was"):
+        other.run(other.t_s + np.array([0.05, 0.1]), *(np.array([0.0, value]) for value in row))
+    wanted = sound.step(0.05, 0.05, 0.06, 3.0)
+    for navigator in (spoilt, other):
+        row_after = navigator.step(0.05, 0.05, 0.06, 3.0)
+        assert np.array_equal(row_after.states, wanted.states)
+        assert (row_after.t_s, navigator.counts) == (wanted.t_s, sound.counts)
+
+
+def test_a_row_that_is_refused_leaves_the_calibration_as_it_was() -> None:
+    spoilt, sound = (paper(ROBOT, calibration(), filtering=False) for _ in range(2))
+    for navigator in (spoilt, sound):
+        navigator.step(0.1, 0.1, 0.1, 10.0, 25.0)
+    with pytest.raises(DataError, match=r"no longer be finite"):
+        spoilt.step(0.1, 1e308, 1e308, 10.0, 49.0)
+    # The temperature is held at the last one that was taken.
+    a, b = (n.step(0.1, 0.1, 0.1, 10.0, math.nan) for n in (spoilt, sound))
+    assert np.array_equal(a.states, b.states)
+
+
+@pytest.mark.parametrize("row", [(0.05, 0.05, None), (None, 0.05, 1.0), (0.05, "none", 1.0)])
+def test_a_reading_that_is_no_number_is_refused(row: tuple[float, float, float]) -> None:
+    navigator = paper(ROBOT)
+    with pytest.raises(DataError, match=r"row 0: .* are numbers; give NaN for a reading that is missing"):
+        navigator.step(0.05, *row)
+    assert navigator.counts.rows == 0
+
+
+def test_an_unknown_filter_is_refused() -> None:
+    with pytest.raises(DataError, match=r"no filter 'modle'; kind is 'model' or 'paper'"):
+        Navigator(ROBOT, kind="modle")
+
+
+def test_single_rows_count_from_the_start_that_is_given() -> None:
+    start_s, warming = 1234.5, coefficients(entry("warm_up", amplitude=30.0, tau_s=900.0))
+    by_row, by_block = (
+        Navigator(ROBOT, warming, filtering=False, power_on_t_s=1200.0, start_t_s=t) for t in (start_s, 0.0)
+    )
+    t_s = start_s + 0.5 * np.arange(20.0)
+    block = by_block.run(t_s, np.zeros(20), np.zeros(20), np.full(20, 1.0), np.full(20, 25.0))
+    for k in range(20):
+        row = by_row.step(0.5 if k else 0.0, 0.0, 0.0, 1.0, 25.0)
+        assert row.t_s == t_s[k]
+        assert np.array_equal(row.states, block.states[k])
 
 
 def test_static_bias_must_be_finite() -> None:
@@ -177,7 +234,7 @@ def test_whatever_the_readings_the_states_are_finite_or_it_says_so(values: list[
     try:
         out = navigator.run(t, left, right, gyro)
     except DataError as error:
-        assert "no longer finite" in str(error)  # noqa: PT017 - either outcome is right
+        assert "no longer be finite" in str(error)  # noqa: PT017 - either outcome is right
         return
     assert np.isfinite(out.states[-1]).all()
     assert navigator.counts.rows == n

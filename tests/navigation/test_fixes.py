@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.navigation.fixes import wild_fixes
+from gyrocal.navigation.fixes import frozen_fixes, no_fixes, wild_fixes
 
 Floats = NDArray[np.float64]
 ROWS = 2000
@@ -77,3 +77,24 @@ def test_empty_cells_and_few_fixes_are_left_as_they_are() -> None:
     x[9 * 7 :] = np.nan
     x[21] += 400.0
     assert not wild_fixes(x, y, way).any()
+
+
+@pytest.mark.parametrize("each", [1, 4, 20, 200])
+def test_a_slow_receiver_is_not_frozen_and_a_robot_may_stand(each: int) -> None:
+    x, y, way = path(0.0, each, 2)
+    t_s = 0.05 * np.arange(ROWS, dtype=np.float64)
+    assert not frozen_fixes(t_s, x, y, way).any()
+    stands = np.clip(np.arange(ROWS), None, 900)
+    assert not frozen_fixes(t_s, x[stands], y[stands], way[stands]).any()
+
+
+@pytest.mark.parametrize("each", [1, 4])
+def test_a_truth_that_stands_still_while_the_robot_drives_is_left_out(each: int) -> None:
+    x, y, way = path(0.01, each, 3)
+    t_s = 0.05 * np.arange(ROWS, dtype=np.float64)
+    held = np.where((np.arange(ROWS) >= 800) & (np.arange(ROWS) < 1200), 800, np.arange(ROWS))
+    none, said = no_fixes(t_s, x[held], y[held], way)
+    np.testing.assert_array_equal(np.flatnonzero(none), np.arange(801, 1200))
+    assert said == (
+        "399 of the truth's rows are left out: its position stands still to the last digit while the wheels go on, from t_s = 40 to 60 (19.9 m)",
+    )

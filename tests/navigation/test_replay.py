@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from gyrocal.navigation.simulate import CW
 from gyrocal.navigation.table import make_table
 from gyrocal.navigation.track import CONDITIONS
 from gyrocal.records.drive import DriveBlock, cut
+from gyrocal.records.robot import robot_of
 from tests.navigation.drives import both_ways, calibration, drive, robot, source
 
 
@@ -253,3 +255,25 @@ def test_headings_alone_tell_the_error_of_the_heading(
         assert np.mean(apart) == pytest.approx(0.0, abs=1e-9)
         assert track.heading_errors.rms_deg == pytest.approx(np.std(apart), rel=1e-9)
         assert known.heading_errors.rms_deg >= np.std(apart) * 0.99
+
+
+def test_a_path_that_a_rest_takes_back_is_said_with_the_error_before() -> None:
+    """Round and round from the first row, with a bias that nobody knows, to a rest at the end."""
+    rng, n = np.random.default_rng(5), 3000
+    going = np.arange(n) < 2600
+    turn_dps = np.where(going, 20.0 * np.sin(np.arange(n) / 90.0), 0.0)
+    way_m, half_m = np.where(going, 0.05, 0.0), 0.25 * np.radians(turn_dps) * 0.1
+    heading = np.cumsum(np.radians(turn_dps) * 0.1)
+    at = np.cumsum(way_m * np.exp(1j * (heading - 0.05 * np.radians(turn_dps))))
+    gyro_dps = turn_dps + 0.1 + rng.normal(0.0, 0.02, n)
+    log = DriveBlock(
+        2, 0.1 * np.arange(n, dtype=np.float64), way_m - half_m, way_m + half_m, gyro_dps, np.full(n, np.nan), at.real, at.imag, np.degrees(heading),
+    )  # fmt: skip
+    unrested = robot_of({"wheel_separation_m": 0.5, "static_s": 0.0}, Path("r"))
+    found = replay_log(source(log), unrested)
+    (note,) = [text for text in found.notes if "is taken back" in text]
+    assert note.startswith("no calibration, no filter: at t_s = 26")
+    track = found.track("uncalibrated")
+    assert track is not None
+    assert track.leap is not None
+    assert track.leap.way_m > 1.0

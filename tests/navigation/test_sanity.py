@@ -41,6 +41,10 @@ MIXED: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
         lambda b: replace(b, truth_heading_deg=np.radians(b.truth_heading_deg)),
         "heading is in radians",
     ),
+    "wheels that run backwards": (
+        lambda b: replace(b, left_m=-b.right_m, right_m=-b.left_m),
+        "the wheels run backwards: .* sign = -1",
+    ),
     "a compass": (
         lambda b: replace(b, truth_heading_deg=(90.0 - b.truth_heading_deg) % 360.0),
         "heading turns clockwise",

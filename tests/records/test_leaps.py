@@ -66,3 +66,17 @@ def test_a_pause_in_which_the_counters_go_on_is_as_long_as_it_was(tmp_path: Path
 def test_a_log_in_another_unit_has_no_damaged_cells(tmp_path: Path) -> None:
     log = read_drive_log(write(tmp_path / "log.csv", TICKS), (0.2, 0.2))
     assert log.left_m[1] == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("emptied", [False, True])
+def test_a_counter_that_restarts_or_stood_is_called_so(tmp_path: Path, emptied: bool) -> None:
+    kept = np.arange(TICKS.size) != (700 if emptied else -1)
+    restarts = np.where(np.arange(TICKS.size) < 700, TICKS, TICKS - TICKS[700])
+    with pytest.raises(InputError, match=r"line 702: .*The counter restarts from 0 here.*Cut the log there"):
+        read_drive_log(write(tmp_path / "restarts.csv", restarts, kept), METRES)
+    stood = np.where((np.arange(TICKS.size) >= 600) & (np.arange(TICKS.size) < 800), TICKS[600], TICKS)
+    with pytest.raises(InputError, match=r"line 802: .*stood from line 602 .*lines 603 to 801 empty"):
+        read_drive_log(write(tmp_path / "stood.csv", stood), METRES)
+    anew = np.where(np.arange(TICKS.size) < 700, TICKS, TICKS + 1_000_000)
+    with pytest.raises(InputError, match=r"line 702: .*the counter was set anew. Cut the log there"):
+        read_drive_log(write(tmp_path / "anew.csv", anew), METRES)

@@ -15,6 +15,7 @@ from gyrocal.navigation.lost_ways import LACKS_A_ROW, rows_missing
 from gyrocal.navigation.sanity import (
     AGAINST_GYRO,
     UNITS,
+    backwards_fault,
     clockwise,
     degrees_fault,
     gyro_fault,
@@ -82,14 +83,14 @@ def wrong_gyro(series: DriveSeries) -> tuple[DriveSeries, Found | None]:
     std = abs(ratio) * float(np.sqrt(max(1.0 - seg**2 / (see * sgg), 0.0) / max(e.size - 2, 1)))
     amplitude = Estimate.normal(ratio, std, "1")
     right = replace(series, gyro_dps=series.gyro_dps * factor * float(np.sign(ratio)))
-    if not unit and _follows_in_mirror(right) and not _follows_in_mirror(series):
+    if not unit and follows_in_mirror(right) and not follows_in_mirror(series):
         right = replace(series, left_m=series.right_m, right_m=series.left_m, tick_m=series.tick_m[::-1])
         return right, Found(UNIT_OR_SIGN.id, amplitude, Remark(Said.WHEELS_SWAPPED))
     seen = Remark(Said.GYRO_COLUMN, {"unit": unit, "inverted": ratio < 0})
     return right, Found(UNIT_OR_SIGN.id, amplitude, seen)
 
 
-def _follows_in_mirror(series: DriveSeries) -> bool:
+def follows_in_mirror(series: DriveSeries) -> bool:
     """Whether there is a truth, and it follows the gyro's path in a mirror only."""
     known = np.isfinite(series.truth_x_m + series.truth_y_m)
     if not known.any():
@@ -161,7 +162,7 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
         if clockwise(path_deg, told):
             notes.append(Remark(Said.TRUTH_CLOCKWISE))
             series = replace(series, truth_heading_deg=90.0 - series.truth_heading_deg)
-        elif (fault := heading_fault(path_deg, told)) is not None:
+        elif fault := backwards_fault(path_deg, told) or heading_fault(path_deg, told):
             raise DataError(f"{series.source}: {fault}")
     return series, notes
 

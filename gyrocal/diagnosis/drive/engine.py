@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from gyrocal.diagnosis.drive.beside_truth import beside_truth, told_from_nothing
-from gyrocal.diagnosis.drive.checks import Found, missing_rows, uneven_clock, wrong_gyro, wrong_truth
+from gyrocal.diagnosis.drive.checks import (
+    Found,
+    follows_in_mirror,
+    missing_rows,
+    uneven_clock,
+    wrong_gyro,
+    wrong_truth,
+)
 from gyrocal.diagnosis.drive.estimates import DriveEstimate, estimates_of
 from gyrocal.diagnosis.drive.filed import filed
 from gyrocal.diagnosis.drive.findings import (
@@ -57,6 +64,7 @@ class Shown:
     apart_m : rms distance between the two paths
     truth_m : rms that the truth's own error would give a perfect path; NaN where it is not known
     seen_m : difference between before and after from which on this truth shows one (95 %); NaN likewise
+    wrong : what is wrong with another log, and taken as if it were right
     """
 
     log: str
@@ -69,6 +77,7 @@ class Shown:
     apart_m: float
     truth_m: float = float("nan")
     seen_m: float = float("nan")
+    wrong: tuple[Remark, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Entry of ``position_error``."""
@@ -237,9 +246,9 @@ def _shown(
     """Before and after on what was not fitted: other logs, or the last part of this one; by the robot files as they are."""
     shown, robot = [], found.series.robot
     for name, other in others:
-        series = wrong_truth(wrong_gyro(drive_series(name, other, robot, coefficients))[0])[0]
+        series, wrong = _righted(name, other, robot, coefficients)
         before, after = (filed(series, one.parameters) for one in (robot, better))
-        shown.append(_compared(series, before, after, found.truth, name))
+        shown.append(replace(_compared(series, before, after, found.truth, name), wrong=wrong))
     if others or not found.series.has_truth or found.truth is None or found.truth.mirrored:
         return shown
     split = int(np.searchsorted(log.t_s, log.t_s[0] + _FITTED * (log.t_s[-1] - log.t_s[0])))
@@ -254,6 +263,20 @@ def _shown(
         after = replace(after, bias_dps=believed_bias(part.yaw, part.truth))
     rest_of_it = _compared(found.series, before, after, part.truth, from_row=split)
     return [*shown, _beside_its_noise(rest_of_it, found.truth, found.series.t_s[split:])]
+
+
+def _righted(
+    name: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None
+) -> tuple[DriveSeries, tuple[Remark, ...]]:
+    """Another log with what is wrong with it put right, or left out, and that."""
+    series, unit = wrong_gyro(drive_series(name, log, robot, coefficients))
+    series, notes = wrong_truth(series)
+    wrong = [*([unit.seen] if unit else []), *notes]
+    if follows_in_mirror(series):
+        nothing = np.full(series.t_s.size, np.nan)
+        series = replace(series, truth_x_m=nothing, truth_y_m=nothing)
+        wrong.append(Remark(Said.TRUTH_MIRRORED))
+    return series, tuple(wrong)
 
 
 def _beside_its_noise(shown: Shown, truth: TruthAnswer, t_s: Floats) -> Shown:

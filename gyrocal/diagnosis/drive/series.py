@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,9 @@ from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.navigation.channels import check_cells, check_speed
-from gyrocal.navigation.fixes import wild_fixes, wild_said
+from gyrocal.navigation.fixes import no_fixes
 from gyrocal.navigation.lost_ways import GAP_STEPS, lost_ways
+from gyrocal.navigation.stuck_wheel import refuse_stuck, stuck_said, stuck_wheels
 from gyrocal.navigation.survey import one_speed
 from gyrocal.physics.drive import tick_wait_s
 from gyrocal.records.drive import UNUSED_STEERING, DriveBlock
@@ -192,6 +193,8 @@ def drive_series(
     of_gyro = robot.parameters.gyro
     scale, asymmetry = (of_gyro.scale, of_gyro.asymmetry) if coefficients is None else (0.0, 0.0)
     gyro, said = _gyro(source, log, robot, coefficients, scale, asymmetry)
+    log, stuck = _without_stuck(source, log, robot, gyro * dt_s)
+    notes += stuck
     (left, right), told = _wheels(log, robot, dt_s)
     bridged = ~np.isfinite(log.left_m + log.right_m)
     _check_way(source, log, left, right, dt_s)
@@ -256,6 +259,25 @@ def _gaps_said(t_s: Floats, dt_s: Floats, gap: Bools) -> list[Remark]:
     return [Remark(Said.GAPS, {"count": int(gap.sum()), "steps": GAP_STEPS, **facts})]
 
 
+def _without_stuck(
+    source: str, log: DriveBlock, robot: Robot, gyro_deg: Floats
+) -> tuple[DriveBlock, tuple[str, ...]]:
+    """The log without what a wheel's counter says while it is stuck, and what is said of that."""
+    if log.speed_only:
+        return log, ()
+    stuck = stuck_wheels(log.t_s, log.left_m, log.right_m, gyro_deg, robot.wheel_separation_m)
+    refuse_stuck(source, stuck, float(log.t_s[-1] - log.t_s[0]))
+
+    def known(side: str, way_m: Floats) -> Floats:
+        for wheel in stuck:
+            within = (log.t_s > wheel.since_s) & (log.t_s <= wheel.until_s)
+            way_m = np.where(within & (wheel.side == side), np.nan, way_m)
+        return way_m
+
+    without = replace(log, left_m=known("left", log.left_m), right_m=known("right", log.right_m))
+    return without, stuck_said(stuck, bridged=True)
+
+
 def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], list[Remark]]:
     """Distances of the left and the right wheel without the robot file's scales; of empty rows by the speeds beside them."""
     found, notes = list[Floats](), list[Remark]()
@@ -273,11 +295,11 @@ def _wheels(log: DriveBlock, robot: Robot, dt_s: Floats) -> tuple[list[Floats], 
     return found, notes
 
 
-def _truth(log: DriveBlock, left_m: Floats, right_m: Floats) -> tuple[list[Floats], list[Note]]:
-    """True positions and headings, none where a fix is wild."""
-    wild = wild_fixes(log.truth_x_m, log.truth_y_m, np.cumsum(0.5 * np.abs(left_m + right_m)))
-    known = [np.where(wild, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)]
-    return known, [wild_said(wild, log.t_s)] if wild.any() else []
+def _truth(log: DriveBlock, left_m: Floats, right_m: Floats) -> tuple[list[Floats], tuple[str, ...]]:
+    """True positions and headings, none where a fix is none, and what is said of these."""
+    way_m = np.cumsum(0.5 * np.abs(left_m + right_m))
+    none, said = no_fixes(log.t_s, log.truth_x_m, log.truth_y_m, way_m)
+    return [np.where(none, np.nan, x) for x in (log.truth_x_m, log.truth_y_m, log.truth_heading_deg)], said
 
 
 def _gyro(

@@ -565,6 +565,20 @@ def test_what_was_found_makes_the_path_better_elsewhere(resting: Robot) -> None:
 
 
 @pytest.mark.slow
+def test_what_is_wrong_with_another_log_is_said(resting: Robot) -> None:
+    plan = Plan("rests", 6.0, 10.0, arw_dps_rt_s=0.001, truth_m=0.02, effects={"gyro_scale": 1.5})
+    sound = drive(plan, 2)
+    mirrored = replace(sound, truth_y_m=-sound.truth_y_m, truth_heading_deg=-sound.truth_heading_deg)
+    inverted = replace(sound, gyro_dps=-sound.gyro_dps)
+    others = [("b.csv", mirrored), ("c.csv", inverted), ("d.csv", sound)]
+    result = diagnose_drive("a.csv", drive(plan, 1), resting, others=others)
+    wrong = [[note.said for note in shown.wrong] for shown in result.shown]
+    assert wrong == [[Said.TRUTH_MIRRORED], [Said.GYRO_COLUMN], []]
+    assert np.isnan(result.shown[0].before_m)
+    assert any("Of b.csv: the truth follows the path in a mirror" in line for line in drive_sentences(result))
+
+
+@pytest.mark.slow
 def test_intervals_cover(robot: Robot) -> None:
     """Track and asymmetry of ten short drives: a collapsed interval would show at once."""
     covered, trials = 0, 0
