@@ -194,7 +194,6 @@ def drive_series(
     scale, asymmetry = (of_gyro.scale, of_gyro.asymmetry) if coefficients is None else (0.0, 0.0)
     gyro, said = _gyro(source, log, robot, coefficients, scale, asymmetry)
     log, stuck = _without_stuck(source, log, robot, gyro * dt_s)
-    notes += stuck
     (left, right), told = _wheels(log, robot, dt_s)
     bridged = ~np.isfinite(log.left_m + log.right_m)
     _check_way(source, log, left, right, dt_s)
@@ -223,7 +222,7 @@ def drive_series(
         gyro_scale=scale,
         gyro_asymmetry=asymmetry,
         robot=robot,
-        notes=(*log.notes, *notes, *told, *wild, *rests, *said),
+        notes=(*log.notes, *notes, *stuck, *told, *wild, *rests, *said),
     )
 
 
