@@ -142,7 +142,7 @@ def _gain(c: Comparison) -> str:
     low, high = (_MDPS * x for x in c.interval_95)
     what = (
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
-        f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
+        f"the law by {after:.3g}; on another run of the same plan the gain is {range_text(low, high)} (95 %)."
     )
     for count, where in (
         (c.beyond, "beyond the rates, the temperatures or the times of the others"),
