@@ -49,6 +49,9 @@ _CARRIED = 1e-9
 _MISSED = 3.0
 #: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
 _REAL_NATS = 3.0
+#: The same of a thermometer whose scatter somebody's simulation has row by row, to this share of it: whoever simulated took it for
+#: the temperature, and the output has to tell only which of the two is likelier, by more than chance.
+_REAL_BESIDE_NATS, _SAME_SCATTER = 1.0, 0.1
 #: Steps of thermometers whose readings noise carries to and fro, so that means of them lie on no steps, degC; finer ones bend
 #: no mean by as much as a gyro sees. And of how many readings a mean may be, the first for all steps.
 _DITHERED_C, _READINGS = (1.0, 0.5, 0.25, 0.2, 0.1), (32.0, 4.0, 16.0, 64.0, 256.0)
@@ -66,11 +69,16 @@ _FEW_RATES, _STRETCH = 0.25, 12
 _DITHERED_NATS = 5.0
 
 
-def series_of_table(table: DataSetTable) -> Series:
+def series_of_table(table: DataSetTable, partner: DataSetTable | None = None) -> Series:
     """Rows of a table of data sets; without time stamps the row number stands for time.
 
     A table at one rate is a static log: its rows are samples, so isolated ones that no noise makes are set aside
     before anything is averaged, by the rule for the samples of a run.
+
+    Parameters
+    ----------
+    partner : DataSetTable, optional
+        What it is compared with: a simulation of it, or of a simulation the recording.
 
     Raises
     ------
@@ -98,7 +106,8 @@ def series_of_table(table: DataSetTable) -> Series:
     times, read = mean(t_s), mean(table.temp_c)
     rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), partial(_free, temp_c=read))
     step_c = lattice_of_means(table.temp_c) or 0.0
-    history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c)
+    beside = None if partner is None or partner.temp_c.size != read.size else partner.temp_c
+    history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c, beside)
     course_c = history.temp_at(times)
     if dithered_c is not None:
         notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
@@ -135,11 +144,21 @@ def _smoothed(off_c: Floats, step_c: float) -> list[Remark]:
 
 
 def _history(
-    t_s: Floats, rate_dps: Floats, gyro_dps: Floats, read_c: Floats, count: Floats, step_c: float
+    t_s: Floats,
+    rate_dps: Floats,
+    gyro_dps: Floats,
+    read_c: Floats,
+    count: Floats,
+    step_c: float,
+    beside_c: Floats | None,
 ) -> tuple[TemperatureHistory, float | None]:
     """The course of the temperature through readings, or the readings where no smooth course is behind them.
 
     And the steps that noise carried the readings to and fro of, if it is these that the course is seen through.
+
+    Parameters
+    ----------
+    beside_c : the temperatures of a table of as many rows that it is compared with
     """
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
@@ -148,7 +167,9 @@ def _history(
     if as_read:
         return history.as_read(t_s, read_c), None
     history, dithered_c = _through_dither(history, t_s, read_c, count, step_c)
-    if _scatter_is_real(rate_dps, gyro_dps, read_c, history.temp_at(t_s)):
+    course_c = history.temp_at(t_s)
+    shared = beside_c is not None and np.std(beside_c - read_c) < _SAME_SCATTER * np.std(read_c - course_c)
+    if _scatter_is_real(rate_dps, gyro_dps, read_c, course_c, shared=bool(shared)):
         return history.as_read(t_s, read_c), None
     return history, dithered_c
 
@@ -228,10 +249,16 @@ def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:
     return bool(np.round(off_c, 9) > _MISSED * scatter_c)
 
 
-def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats) -> bool:
+def _scatter_is_real(
+    rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats, *, shared: bool
+) -> bool:
     """Whether the gyro follows a thermometer where it scatters about its smooth course.
 
     Then the scatter is the temperature's; what is the thermometer's own the gyro knows nothing of.
+
+    Parameters
+    ----------
+    shared : whether a simulation has that scatter, too
     """
     frame = _frame(rate_dps, course_c)
     columns, error = design_at(rate_dps, course_c, frame), gyro_dps - rate_dps
@@ -239,9 +266,12 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
     left = np.abs(error - columns @ surface)
     sound = left <= OUTLIER_SIGMAS * STDS_PER_MAD * np.median(left)
     along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
-    return any(
-        _follows(along[sound], error[sound], free[sound]) for free in (columns, _free(rate_dps, course_c))
+    by_surface, by_all = (
+        _nats_of_following(along[sound], error[sound], free[sound])
+        for free in (columns, _free(rate_dps, course_c))
     )
+    # Physics that the simulation lacks, which is asked for here, the surface alone would leave in the way.
+    return max(by_surface, by_all) > _REAL_NATS or (shared and by_all > _REAL_BESIDE_NATS)
 
 
 def _frame(rate_dps: Floats, temp_c: Floats) -> Frame:
@@ -255,14 +285,14 @@ def _free(rate_dps: Floats, temp_c: Floats) -> Floats:
     return np.column_stack([surface, *_beyond_surface(rate_dps)])
 
 
-def _follows(along: Floats, error: Floats, columns: Floats) -> bool:
-    """Whether an error follows what a scatter of the temperature makes of it, beside columns that are free."""
+def _nats_of_following(along: Floats, error: Floats, columns: Floats) -> float:
+    """Evidence that an error follows what a scatter of the temperature makes of it, beside columns that are free, nats."""
     size = np.linalg.norm(columns, axis=0)
     basis = linalg.orth(columns[:, size > 0.0] / size[size > 0.0], rcond=_CARRIED)
     freedom = error.size - basis.shape[1]
     x, y = (values - basis @ (basis.T @ values) for values in (along, error))
     without, within = float(y @ y), float((y - x) @ (y - x))
-    return freedom > 0 and within > 0.0 and 0.5 * freedom * float(np.log(without / within)) > _REAL_NATS
+    return 0.5 * freedom * float(np.log(without / within)) if freedom > 0 and within > 0.0 else 0.0
 
 
 def _beyond_surface(rate_dps: Floats) -> Iterator[Floats]:

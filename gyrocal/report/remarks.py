@@ -199,7 +199,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     ),
     Said.FEW_TEMPERATURES: "it turned in {count} visits to a temperature, one after the other: what changes the scale factor over temperature or time beyond the surface "
     "has no name here; turn at five or more, up and down",
-    Said.SMOOTHED: "temp_c scatters by {rms_c:.2g} degC rms about a smooth course, which stands in its place: the output does not follow the scatter",
+    Said.SMOOTHED: "temp_c scatters by {rms_c:.2g} degC rms about a smooth course, which stands in its place: the output does not show that it follows the scatter",
     Said.NOMINAL_RATES: "rate_dps scatters by {rms_dps:.2g} deg/s rms about {rates} rates, which stand in its place: the output {does} the scatter",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.fit import rms
-from gyrocal.diagnosis.base import carried_terms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.versus.law import Unseen, law_of, left_by
 from gyrocal.diagnosis.versus.match import Match, enclosed, match, surface_of
 from gyrocal.diagnosis.versus.surfaces import Apart, surfaces_apart
 from gyrocal.errors import DataError
@@ -27,9 +27,7 @@ from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.terms import Term
 from gyrocal.physics.timewise import WARM_UP
-from gyrocal.records.files import finite
 from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
@@ -47,8 +45,6 @@ _FEWEST = 5
 LEVEL = 0.01
 #: A simulation without noise is a surface where none of its rows is off by more, deg/s.
 _EXACT_DPS = 1e-5
-#: Coefficients of the surface, row-major over the orders of rate and temperature.
-_BIAS_AND_SCALE = np.array([0, SHAPE[1]])
 
 
 @dataclass(frozen=True)
@@ -112,7 +108,7 @@ class Compared:
 class Versus:
     """A recording against a simulation: partners, what is in the difference, the law to add, and what it brings.
 
-    `law`: surface of the gyro, and terms; what both add to the output, less what the simulation's own surface
+    `law`: surface of the gyro, and terms that the data show (`unseen`: the others); what both add to the output, less what the simulation's own surface
     (``match.surface``) adds already, is to be added to the simulated output. `comparison` is None where the sets
     are too few to leave some out.
     """
@@ -123,6 +119,7 @@ class Versus:
     diagnosis: Diagnosis
     law: Coefficients
     comparison: Comparison | None
+    unseen: Unseen | None = None
 
     @property
     def helps(self) -> bool:
@@ -167,6 +164,7 @@ class Versus:
                 "surfaces_apart": self.surfaces_apart.to_json(),
                 "valid": _valid_json(self.match.difference),
                 "terms": _terms_json(self.law, self.diagnosis),
+                "terms_unseen": None if self.unseen is None else dict(vars(self.unseen)),
             },
             "left_out": None if self.comparison is None else self.comparison.to_json(),
         }
@@ -203,7 +201,8 @@ def versus(
     )
     said = tuple(n for n in found.notes if isinstance(n, str) or n.said not in OF_COEFFICIENTS)
     found = replace(found, notes=said)
-    return Versus(real.name, simulated.name, matched, found, law_of(found, matched.difference), comparison)
+    law, unseen = law_of(found, matched.difference)
+    return Versus(real.name, simulated.name, matched, found, law, comparison, unseen)
 
 
 def only_surface(simulated: Series, options: Options) -> Surface | None:
@@ -223,72 +222,6 @@ def only_surface(simulated: Series, options: Options) -> Surface | None:
     return surface_of(simulated, "input") if of_input and chosen.direction == "output" else chosen
 
 
-def law_of(found: Diagnosis, difference: Series) -> Coefficients:
-    """The model of the difference, bench and all: surface, terms, and what was named that no robot sees.
-
-    A coefficient file keeps of a drift or a jump only where it left the gyro. Here the laws themselves stand, and the
-    surface gives back what it held of them: bias and scale factor are fitted again beside them. A name that smooth
-    parts of the file stand for takes their place, where it leaves no more than they do.
-    """
-    law = found.improved or found.surface
-    if law is None:
-        raise DataError(f"{found.recording}: the difference has no surface. Give recordings of a bench.")
-    known = {term.name for term in law.terms}
-    square = _square_of(law, difference)
-    for e in found.effects:
-        if e.effect in known or not difference.has_time or not _is_function(e.effect):
-            continue
-        parameters = {
-            n: {"value": p.value, "std": finite(p.std), "unit": p.unit} for n, p in e.parameters.items()
-        }
-        term = Term(e.effect, parameters, False)
-        beside = _refitted(replace(law, terms=(*law.terms, term)), difference, _BIAS_AND_SCALE)
-        if (less := _square_of(beside, difference)) < square:
-            law, square = beside, less
-            continue
-        others = [t for t in law.terms if not (isinstance(t, SmoothTerm) and t.family == e.family)]
-        instead = _refitted(replace(law, terms=(*others, term)), difference, carried_terms(difference))
-        fewer = sum(len(t.columns) for t in law.terms if isinstance(t, SmoothTerm) and t not in others)
-        # What so many columns more take of noise alone (Akaike).
-        if (less := _square_of(instead, difference)) < square * (1.0 + 2.0 * fewer / len(difference)):
-            law, square = instead, less
-    return law
-
-
-def _square_of(law: Coefficients, difference: Series) -> float:
-    """Weighted sum of squares of what a law leaves of the data sets."""
-    rows = difference.is_set | ~difference.is_set.any()
-    left = left_by(law, difference)[rows] / difference.white_std_dps[rows]
-    return float(left @ left)
-
-
-def _refitted(law: Coefficients, difference: Series, terms: Ints) -> Coefficients:
-    """A law with these terms of its surface fitted again beside the others."""
-    rows = difference.is_set | ~difference.is_set.any()
-    weight = 1.0 / difference.white_std_dps[rows]
-    X = law.surface.output_design(difference.rate_dps[rows], difference.temp_c[rows])[:, terms]
-    left = left_by(law, difference)[rows]
-    more = np.zeros(law.surface.coefficients_dps.size)
-    more[terms] = np.linalg.lstsq(X * weight[:, None], left * weight, rcond=1e-10)[0]
-    c = law.surface.coefficients_dps + more.reshape(SHAPE)
-    return replace(law, surface=replace(law.surface, coefficients_dps=c))
-
-
-def _is_function(effect_id: str) -> bool:
-    """Whether a law says what each sample gets: not what the sampling does to it, nor a draw that nobody knows."""
-    effect = find_effect(effect_id)
-    return effect.family != "sampling" and all(p.name != "seed" for p in effect.parameters)
-
-
-def left_by(law: Coefficients, difference: Series) -> Floats:
-    """What a law leaves of a difference, row by row, deg/s."""
-    c = conditions_of(difference)
-    added = sum(term.error_dps(c, law.surface) for term in law.terms)
-    return np.asarray(
-        difference.gyro_dps - law.surface.output_dps(difference.rate_dps, difference.temp_c) - added
-    )
-
-
 def compare(matched: Match, options: Options) -> Comparison | None:
     """The law without some blocks of data sets, on those of these sets that the others enclose."""
     difference = matched.difference
@@ -303,7 +236,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         known = ~np.isin(difference.set_index, numbers[held])
         try:
             part = difference.take(known)
-            law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
+            law, _ = law_of(diagnose(part, None, replace(options, heldout=False)), part)
         except DataError:
             return None
         within = enclosed(difference, difference.take(known & difference.is_set))
