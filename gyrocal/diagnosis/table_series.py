@@ -77,8 +77,7 @@ def series_of_table(table: DataSetTable, partner: DataSetTable | None = None) ->
 
     Parameters
     ----------
-    partner : DataSetTable, optional
-        What it is compared with: a simulation of it, or of a simulation the recording.
+    partner : what it is compared with, a simulation or a recording
 
     Raises
     ------
@@ -106,13 +105,8 @@ def series_of_table(table: DataSetTable, partner: DataSetTable | None = None) ->
     times, read = mean(t_s), mean(table.temp_c)
     rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), partial(_free, temp_c=read))
     step_c = lattice_of_means(table.temp_c) or 0.0
-    beside = None if partner is None or partner.temp_c.size != read.size else partner.temp_c
-    history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c, beside)
+    history, seen = _history(times, rate, gyro, read, count[filled], step_c, partner)
     course_c = history.temp_at(times)
-    if dithered_c is not None:
-        notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
-    elif history.course is not None:
-        notes += _smoothed(course_c - read, step_c)
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
@@ -128,19 +122,13 @@ def series_of_table(table: DataSetTable, partner: DataSetTable | None = None) ->
         history=history,
         raw=_raw(table, t_s, wild, one_rate),
         untestable=_untestable(table),
-        notes=(*table.notes, *gathered, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
+        notes=(*table.notes, *gathered, *notes, *seen, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
         states_noise=states_noise,
         copies=copies(table.rate_dps, table.gyro_dps, table.temp_c, table.t_s),
         reach=reach_of(groups[~wild], table.gyro_dps[~wild], table.temp_c[~wild]),
     )
-
-
-def _smoothed(off_c: Floats, step_c: float) -> list[Remark]:
-    """That a course stands in the place of readings, where it is off them by more than their rounding."""
-    rms_c = float(np.std(off_c))
-    return [Remark(Said.SMOOTHED, {"rms_c": rms_c})] if rms_c > step_c / np.sqrt(12.0) else []
 
 
 def _history(
@@ -150,28 +138,37 @@ def _history(
     read_c: Floats,
     count: Floats,
     step_c: float,
-    beside_c: Floats | None,
-) -> tuple[TemperatureHistory, float | None]:
+    partner: DataSetTable | None,
+) -> tuple[TemperatureHistory, list[Remark]]:
     """The course of the temperature through readings, or the readings where no smooth course is behind them.
 
-    And the steps that noise carried the readings to and fro of, if it is these that the course is seen through.
+    And the steps that noise carried the readings to and fro of, if it is these that the course is seen through; or that it stands
+    in the place of readings, where it is off them by more than their rounding.
 
     Parameters
     ----------
-    beside_c : the temperatures of a table of as many rows that it is compared with
+    partner : what the table is compared with
     """
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
     noise_c = 0.0 if history.course is None else history.course.noise
     as_read = max(step_c, noise_c) > COARSEST_C or _missed(read_c, course_c, step_c)
     if as_read:
-        return history.as_read(t_s, read_c), None
+        return history.as_read(t_s, read_c), []
     history, dithered_c = _through_dither(history, t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
-    shared = beside_c is not None and np.std(beside_c - read_c) < _SAME_SCATTER * np.std(read_c - course_c)
-    if _scatter_is_real(rate_dps, gyro_dps, read_c, course_c, shared=bool(shared)):
-        return history.as_read(t_s, read_c), None
-    return history, dithered_c
+    shared = (
+        partner is not None
+        and partner.temp_c.size == read_c.size
+        and float(np.std(partner.temp_c - read_c)) < _SAME_SCATTER * float(np.std(read_c - course_c))
+    )
+    if _scatter_is_real(rate_dps, gyro_dps, read_c, course_c, shared=shared):
+        return history.as_read(t_s, read_c), []
+    if dithered_c is not None:
+        return history, [Remark(Said.DITHERED, {"step_c": dithered_c})]
+    rms_c = float(np.std(course_c - read_c))
+    smoothed = rms_c > step_c / np.sqrt(12.0)
+    return history, [Remark(Said.SMOOTHED, {"rms_c": rms_c})] if smoothed else []
 
 
 def _through_dither(
