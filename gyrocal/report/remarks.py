@@ -118,8 +118,8 @@ def _sides_differ(
         return f"By the truth the gyro's scale factor is {larger}; {held}"
     value, std = or_moving_dps
     return (
-        f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
-        f"another while the robot moves (95 %): this drive does not tell which{', and the latter, which more gyros have, is what is told' if told else ''}. "
+        f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} deg/s "
+        f"(95 %: {value - NORMAL_95 * std:+.2g} to {value + NORMAL_95 * std:+.2g}) another while the robot moves: this drive does not tell which{', and the latter, which more gyros have, is what is told' if told else ''}. "
         "Turn as much to either side, go straight for longer, or log a better truth"
     )
 
