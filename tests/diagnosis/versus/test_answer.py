@@ -166,7 +166,7 @@ def test_a_law_at_another_shape_than_the_search_found_gains_what_it_gains() -> N
 
 
 @pytest.mark.slow
-def test_the_file_has_the_largest_terms_first_and_says_why_there_are_as_many() -> None:
+def test_the_file_has_the_largest_terms_first_and_says_which_it_has_not() -> None:
     """Two dozen lines of which a few carry the law had stood in no order and without a word."""
     answer = warmed(8)
     source = law_files(answer)[LAW_PYTHON]
@@ -177,7 +177,9 @@ def test_the_file_has_the_largest_terms_first_and_says_why_there_are_as_many() -
     told = source.split('"""')[1]
     lines = [float(s) for s in re.findall(r"^- .*; (\S+) mdeg/s rms$", told, re.MULTILINE)]
     assert lines == sorted(lines, reverse=True)
-    assert f"has the terms of each, {len(sizes)} in all" in told
+    assert answer.unseen is not None
+    assert f"{answer.unseen.count} terms that models have which are about as likely are not in it" in told
+    assert answer.to_json()["law"]["terms_unseen"]["count"] == answer.unseen.count
     assert "; ;" not in told
 
 
