@@ -184,10 +184,12 @@ def _write_versus(config: DiagnoseConfig, simulation: Path, progress: Progress) 
         )
     refuse_twice([config.recording, *config.others])
     paths = [config.recording, simulation, *config.others]
-    recording, simulated, *others = (
-        series_of(_read(path, scale))
+    first, second, *further = (
+        _read(path, scale)
         for path, scale in zip(paths, nominal_scales(paths, config.counts_per_dps), strict=True)
     )
+    recording, simulated = series_of(first, second), series_of(second, first)
+    others = [series_of(other, second) for other in further]
     progress(0.1, "match and examine")
     options = Options(seed=config.seed)
     whole = cache(partial(only_surface, simulated, options))

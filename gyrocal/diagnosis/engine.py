@@ -104,13 +104,17 @@ class Options:
     heldout: bool = True
 
 
-def series_of(recording: Path | Run | DataSetTable | Series) -> Series:
-    """Rows of any recording that `diagnose` takes."""
+def series_of(
+    recording: Path | Run | DataSetTable | Series, partner: Run | DataSetTable | None = None
+) -> Series:
+    """Rows of any recording that `diagnose` takes; `partner`: what it is compared with."""
     if isinstance(recording, Series):
         return recording
     if isinstance(recording, Path):
         recording = read_run(recording) if is_run_directory(recording) else read_data_sets(recording)
-    return series_of_run(recording) if isinstance(recording, Run) else series_of_table(recording)
+    if isinstance(recording, Run):
+        return series_of_run(recording)
+    return series_of_table(recording, partner if isinstance(partner, DataSetTable) else None)
 
 
 def diagnose(

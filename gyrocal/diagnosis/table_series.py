@@ -49,6 +49,9 @@ _CARRIED = 1e-9
 _MISSED = 3.0
 #: Evidence that a thermometer's scatter is real, nats: where the gyro cannot tell it is noise, as it mostly is.
 _REAL_NATS = 3.0
+#: The same of a thermometer whose scatter somebody's simulation has row by row, to this share of it: whoever simulated took it for
+#: the temperature, and the output has to tell only which of the two is likelier, by more than chance.
+_REAL_BESIDE_NATS, _SAME_SCATTER = 1.0, 0.1
 #: Steps of thermometers whose readings noise carries to and fro, so that means of them lie on no steps, degC; finer ones bend
 #: no mean by as much as a gyro sees. And of how many readings a mean may be, the first for all steps.
 _DITHERED_C, _READINGS = (1.0, 0.5, 0.25, 0.2, 0.1), (32.0, 4.0, 16.0, 64.0, 256.0)
@@ -66,11 +69,15 @@ _FEW_RATES, _STRETCH = 0.25, 12
 _DITHERED_NATS = 5.0
 
 
-def series_of_table(table: DataSetTable) -> Series:
+def series_of_table(table: DataSetTable, partner: DataSetTable | None = None) -> Series:
     """Rows of a table of data sets; without time stamps the row number stands for time.
 
     A table at one rate is a static log: its rows are samples, so isolated ones that no noise makes are set aside
     before anything is averaged, by the rule for the samples of a run.
+
+    Parameters
+    ----------
+    partner : what it is compared with, a simulation or a recording
 
     Raises
     ------
@@ -98,12 +105,8 @@ def series_of_table(table: DataSetTable) -> Series:
     times, read = mean(t_s), mean(table.temp_c)
     rate, gyro, gathered = at_nominal(mean(table.rate_dps), mean(table.gyro_dps), partial(_free, temp_c=read))
     step_c = lattice_of_means(table.temp_c) or 0.0
-    history, dithered_c = _history(times, rate, gyro, read, count[filled], step_c)
+    history, seen = _history(times, rate, gyro, read, count[filled], step_c, partner)
     course_c = history.temp_at(times)
-    if dithered_c is not None:
-        notes.append(Remark(Said.DITHERED, {"step_c": dithered_c}))
-    elif history.course is not None:
-        notes += _smoothed(course_c - read, step_c)
     given = table.temp_rate_c_per_min
     return Series(
         name=table.source.name,
@@ -119,7 +122,7 @@ def series_of_table(table: DataSetTable) -> Series:
         history=history,
         raw=_raw(table, t_s, wild, one_rate),
         untestable=_untestable(table),
-        notes=(*table.notes, *gathered, *notes, *sample_notes(int(wild.sum()), table.temp_c)),
+        notes=(*table.notes, *gathered, *notes, *seen, *sample_notes(int(wild.sum()), table.temp_c)),
         has_time=table.t_s is not None,
         is_table=True,
         states_noise=states_noise,
@@ -128,29 +131,44 @@ def series_of_table(table: DataSetTable) -> Series:
     )
 
 
-def _smoothed(off_c: Floats, step_c: float) -> list[Remark]:
-    """That a course stands in the place of readings, where it is off them by more than their rounding."""
-    rms_c = float(np.std(off_c))
-    return [Remark(Said.SMOOTHED, {"rms_c": rms_c})] if rms_c > step_c / np.sqrt(12.0) else []
-
-
 def _history(
-    t_s: Floats, rate_dps: Floats, gyro_dps: Floats, read_c: Floats, count: Floats, step_c: float
-) -> tuple[TemperatureHistory, float | None]:
+    t_s: Floats,
+    rate_dps: Floats,
+    gyro_dps: Floats,
+    read_c: Floats,
+    count: Floats,
+    step_c: float,
+    partner: DataSetTable | None,
+) -> tuple[TemperatureHistory, list[Remark]]:
     """The course of the temperature through readings, or the readings where no smooth course is behind them.
 
-    And the steps that noise carried the readings to and fro of, if it is these that the course is seen through.
+    And the steps that noise carried the readings to and fro of, if it is these that the course is seen through; or that it stands
+    in the place of readings, where it is off them by more than their rounding.
+
+    Parameters
+    ----------
+    partner : what the table is compared with
     """
     history = temperature_history(t_s, read_c, count, step_c)
     course_c = history.temp_at(t_s)
     noise_c = 0.0 if history.course is None else history.course.noise
     as_read = max(step_c, noise_c) > COARSEST_C or _missed(read_c, course_c, step_c)
     if as_read:
-        return history.as_read(t_s, read_c), None
+        return history.as_read(t_s, read_c), []
     history, dithered_c = _through_dither(history, t_s, read_c, count, step_c)
-    if _scatter_is_real(rate_dps, gyro_dps, read_c, history.temp_at(t_s)):
-        return history.as_read(t_s, read_c), None
-    return history, dithered_c
+    course_c = history.temp_at(t_s)
+    shared = (
+        partner is not None
+        and partner.temp_c.size == read_c.size
+        and float(np.std(partner.temp_c - read_c)) < _SAME_SCATTER * float(np.std(read_c - course_c))
+    )
+    if _scatter_is_real(rate_dps, gyro_dps, read_c, course_c, shared=shared):
+        return history.as_read(t_s, read_c), []
+    if dithered_c is not None:
+        return history, [Remark(Said.DITHERED, {"step_c": dithered_c})]
+    rms_c = float(np.std(course_c - read_c))
+    smoothed = rms_c > step_c / np.sqrt(12.0)
+    return history, [Remark(Said.SMOOTHED, {"rms_c": rms_c})] if smoothed else []
 
 
 def _through_dither(
@@ -228,10 +246,16 @@ def _missed(read_c: Floats, course_c: Floats, step_c: float) -> bool:
     return bool(np.round(off_c, 9) > _MISSED * scatter_c)
 
 
-def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats) -> bool:
+def _scatter_is_real(
+    rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_c: Floats, *, shared: bool
+) -> bool:
     """Whether the gyro follows a thermometer where it scatters about its smooth course.
 
     Then the scatter is the temperature's; what is the thermometer's own the gyro knows nothing of.
+
+    Parameters
+    ----------
+    shared : whether a simulation has that scatter, too
     """
     frame = _frame(rate_dps, course_c)
     columns, error = design_at(rate_dps, course_c, frame), gyro_dps - rate_dps
@@ -239,9 +263,12 @@ def _scatter_is_real(rate_dps: Floats, gyro_dps: Floats, read_c: Floats, course_
     left = np.abs(error - columns @ surface)
     sound = left <= OUTLIER_SIGMAS * STDS_PER_MAD * np.median(left)
     along = (read_c - course_c) * slope_by_temperature(rate_dps, course_c, frame, surface)
-    return any(
-        _follows(along[sound], error[sound], free[sound]) for free in (columns, _free(rate_dps, course_c))
+    by_surface, by_all = (
+        _nats_of_following(along[sound], error[sound], free[sound])
+        for free in (columns, _free(rate_dps, course_c))
     )
+    # Physics that the simulation lacks, which is asked for here, the surface alone would leave in the way.
+    return max(by_surface, by_all) > _REAL_NATS or (shared and by_all > _REAL_BESIDE_NATS)
 
 
 def _frame(rate_dps: Floats, temp_c: Floats) -> Frame:
@@ -255,14 +282,14 @@ def _free(rate_dps: Floats, temp_c: Floats) -> Floats:
     return np.column_stack([surface, *_beyond_surface(rate_dps)])
 
 
-def _follows(along: Floats, error: Floats, columns: Floats) -> bool:
-    """Whether an error follows what a scatter of the temperature makes of it, beside columns that are free."""
+def _nats_of_following(along: Floats, error: Floats, columns: Floats) -> float:
+    """Evidence that an error follows what a scatter of the temperature makes of it, beside columns that are free, nats."""
     size = np.linalg.norm(columns, axis=0)
     basis = linalg.orth(columns[:, size > 0.0] / size[size > 0.0], rcond=_CARRIED)
     freedom = error.size - basis.shape[1]
     x, y = (values - basis @ (basis.T @ values) for values in (along, error))
     without, within = float(y @ y), float((y - x) @ (y - x))
-    return freedom > 0 and within > 0.0 and 0.5 * freedom * float(np.log(without / within)) > _REAL_NATS
+    return 0.5 * freedom * float(np.log(without / within)) if freedom > 0 and within > 0.0 else 0.0
 
 
 def _beyond_surface(rate_dps: Floats) -> Iterator[Floats]:

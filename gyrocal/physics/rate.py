@@ -146,8 +146,10 @@ def _fit_direction(c: Conditions, p: Mapping[str, float], surface: Surface | Non
 
 def _resonance(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     detuning = (np.abs(c.rate_dps) - p["center_dps"]) / p["width_dps"]
-    visit = c.t_s / _SAME_TIME_S if c.data_set_index is None else c.data_set_index
-    size = p["amplitude"] * (1.0 + p["scatter"] * normal(p["seed"], 1, visit))
+    size: float | Floats = p["amplitude"]
+    if p["scatter"]:
+        visit = c.t_s / _SAME_TIME_S if c.data_set_index is None else c.data_set_index
+        size = size * (1.0 + p["scatter"] * normal(p["seed"], 1, visit))
     peak = np.exp2(-(detuning**2)) if p["form"] else 1.0 / (1.0 + detuning**2)
     return np.asarray(MDPS * size * peak)
 

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +22,13 @@ from gyrocal.report.diagnosis_figures import (
     residual_over_time,
     turning,
 )
-from gyrocal.report.diagnosis_layers import STAIRCASE_CAPTION, layer_rows, nameless, staircase_figure
+from gyrocal.report.diagnosis_layers import (
+    STAIRCASE_CAPTION,
+    layer_rows,
+    nameless,
+    not_a_step,
+    staircase_figure,
+)
 from gyrocal.report.drive_words import drive_tables
 from gyrocal.report.page import Page, Picture, Table, render_page
 from gyrocal.report.reasons import reason_words
@@ -81,7 +88,9 @@ def figures(
         found.append(_missing("angle", why[0].upper() + why[1:].rstrip(".") + "."))
     found += [_effect_picture(diagnosis, rows, effect) for effect in diagnosis.effects]
     if diagnosis.layers:
-        found.append(_drawn("staircase", staircase_figure(diagnosis)))
+        picture, figure = _drawn("staircase", staircase_figure(diagnosis))
+        caption = f"{picture.caption} {not_a_step(diagnosis)}".rstrip()
+        found.append((replace(picture, caption=caption), figure))
     return found
 
 
@@ -241,7 +250,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             "Layer by layer, on data that the fit did not see",
             ("Layer", "Error left out, rms", "Noise alone"),
             layer_rows(diagnosis),
-            "Each row has all layers above it.",
+            f"Each row has all layers above it. {not_a_step(diagnosis)}".rstrip(),
         ),
         _improvement_table(diagnosis),
         _table("noise", "Noise of the recording", ("Noise", "Level"), _noise_rows(diagnosis)),

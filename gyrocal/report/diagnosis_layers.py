@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from gyrocal.diagnosis.result import Diagnosis, Layer, Located, UnnamedPart
+from gyrocal.diagnosis.result import Diagnosis, Layer, Located, NamedEffect, UnnamedPart
 from gyrocal.report import style
 from gyrocal.report.words import coordinate_words, fixed, listed, place_words, times_text
 from gyrocal.units import MDPS, decimals
@@ -17,6 +17,9 @@ _ROOM = 0.12
 _MOST_LAWS = 3
 #: A share so near to nothing or to all is told as that.
 _NEARLY = 0.01
+
+#: Families whose gain lives in ramps, within a turn or after a step, and hardly in the means of data sets.
+NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "step")
 
 STAIRCASE_CAPTION = (
     "The rms of means of data sets that were left out, with the surface alone and with one layer more at each step, the strongest "
@@ -40,6 +43,25 @@ def layer_rows(d: Diagnosis) -> list[tuple[str, str, str]]:
     ]
 
 
+def not_a_step(d: Diagnosis) -> str:
+    """Which named effects are no step of the staircase, and why; empty where all are, or there is none."""
+    steps = {layer.name for layer in d.layers}
+    by_reason: dict[str, list[str]] = {}
+    for effect in d.effects if d.layers else ():
+        if effect.effect not in steps:
+            by_reason.setdefault(_why_no_step(effect), []).append(effect.effect)
+    lacking = "; ".join(f"{listed(names)}, {why}" for why, names in by_reason.items())
+    return f"No steps of their own have {lacking}." if lacking else ""
+
+
+def _why_no_step(effect: NamedEffect) -> str:
+    if effect.seen is not None:
+        return "found in single samples or data sets"
+    if effect.family in NOT_IN_MEANS:
+        return "found within data sets, whose means hardly show it"
+    return "which parts without a name stand for in the model that the steps are of"
+
+
 def layer_words(d: Diagnosis, layer: Layer) -> str:
     """What a step of the staircase adds."""
     if not layer.name:
@@ -58,8 +80,9 @@ def staircase_sentence(d: Diagnosis) -> str:
     steps = [f"{layer_words(d, layer)} {fixed(scale * layer.heldout_rms_dps, places)}" for layer in d.layers]
     floor = fixed(scale * d.layers[-1].noise_floor_dps, places)
     return (
-        f"Layer by layer on data left out, {unit} rms: {', '.join(steps)}; noise alone would leave {floor}."
-    )
+        f"Layer by layer on data left out, {unit} rms: {', '.join(steps)}; noise alone would leave {floor}. "
+        + not_a_step(d)
+    ).rstrip()
 
 
 def unnamed_sentences(d: Diagnosis) -> list[str]:

@@ -18,6 +18,7 @@ from gyrocal.diagnosis.drive.sides import ASYMMETRY
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Located, NamedEffect
 from gyrocal.physics.drive import GYRO_BIAS, GYRO_SCALE
+from gyrocal.records.robot import Robot
 from gyrocal.report.page import Table
 from gyrocal.report.remarks import remark_words, statement
 from gyrocal.report.words import listed, part_words, region_words, times_text
@@ -31,6 +32,8 @@ _SLIPS = 4
 _LEAST_M, _MOST = 0.001, 5
 #: Two paths that are nowhere farther apart are one.
 _SAME_PATH_M = 1e-4
+#: Figures that a robot file says what they may be off by, and for which something usual is taken where it does not.
+_GRANTS = ("gyro_bias_dps", GYRO_SCALE.id, "wheel_separation_m", "left_scale", "right_scale")
 _PATHS = {
     "gyro": "along the gyro's heading",
     "encoders": "along the encoders' heading",
@@ -45,13 +48,19 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
     lines += [_effect_sentence(e) for e in diagnosis.effects]
     lines += [_shown_sentence(s) + _wrong_with(s) for s in found.shown]
     left = [place for place in diagnosis.located if place.remains]
-    off = "the robot file grants as much"
+    off = _bias_granted(found.series.robot)
     if found.series.robot.static_s > 0:
         off = "the rest at the start takes it off"
     if any(isinstance(n, Remark) and n.said is Said.NO_REST for n in found.diagnosis.notes):
         off = "no rest takes it off"
     withheld = found.robot is not None and found.robot.parameters.gyro.scale == 0.0
-    lines += _estimate_sentences(found.estimates, taken_off=off, nameless=bool(left), scale_withheld=withheld)
+    lines += _estimate_sentences(
+        found.estimates,
+        taken_off=off,
+        nameless=bool(left),
+        scale_withheld=withheld,
+        granted=_granted(found.series.robot),
+    )
     if slips := left_out(found.yaw):
         largest = sorted(slips, key=lambda x: -abs(x.turn_deg))[:_SLIPS]
         first = ", ".join(f"{x.turn_deg:+.2g} deg at {x.from_s:.2f} s" for x in largest)
@@ -75,7 +84,27 @@ def drive_sentences(found: DriveDiagnosis) -> tuple[str, ...]:
             "the speed; of track, wheels and delay nothing can be said"
         )
     lines += _inseparable(found)
+    with_deviation = next((k for k, line in enumerate(lines) if "±" in line), None)
+    if with_deviation is not None:
+        lines[with_deviation] += " (±: one standard deviation, here and below)"
     return tuple(lines)
+
+
+def _granted(robot: Robot) -> str:
+    """What figures may be off by without being told, and who says so."""
+    says = [f"initial_std.{key}" in robot.given for key in _GRANTS]
+    if all(says):
+        return "what the robot file grants"
+    if not any(says):
+        return "what is usual where the robot file says nothing"
+    return "what the robot file grants, or what is usual where it says nothing"
+
+
+def _bias_granted(robot: Robot) -> str:
+    """That a bias is within what was allowed for it."""
+    if "initial_std.gyro_bias_dps" in robot.given:
+        return "the robot file grants as much"
+    return f"as much is usual: the robot file says nothing, and {robot.initial_std['gyro_bias_dps']:g} deg/s is taken"
 
 
 def _place(place: Located) -> str:
@@ -93,7 +122,7 @@ def _first_sentence(found: DriveDiagnosis) -> str:
             "be, which this log cannot tell from it."
         )
     return {
-        "consistent": "Encoders and gyro agree within their noise and what the robot file grants.",
+        "consistent": f"Encoders and gyro agree within their noise and {_granted(found.series.robot)}.",
         "explained": "The log departs from the robot file, and the physics named below explains it.",
         "partly_explained": "The log departs from the robot file; the physics named below explains a part of it.",
         "unexplained": "The log departs from the robot file, and no effect of the catalogue explains it.",
@@ -140,7 +169,12 @@ def _shown_sentence(shown: Shown) -> str:
 
 
 def _estimate_sentences(
-    estimates: tuple[DriveEstimate, ...], *, taken_off: str, nameless: bool, scale_withheld: bool
+    estimates: tuple[DriveEstimate, ...],
+    *,
+    taken_off: str,
+    nameless: bool,
+    scale_withheld: bool,
+    granted: str,
 ) -> list[str]:
     """What the log says of every figure that matters: those that stand out with what they cost, then those that may be nothing."""
     said = [e for e in estimates if e.path != "truth" and e.metres >= _LEAST_M][:_MOST]
@@ -148,7 +182,7 @@ def _estimate_sentences(
     lines, nothing = [], []
     for e in said:
         figure = f"{e.name.replace('_', ' ')} {_pair(e.value, e.std)} {e.unit}"
-        remark = "" if e.named else _why_unnamed(nameless)
+        remark = "" if e.named else _why_unnamed(nameless, granted)
         if e.name == KINDS["jump"].shown:
             remark = "; no robot file holds it"
         elif e.name == GYRO_SCALE.id and e.named and scale_withheld:
@@ -169,10 +203,10 @@ def _estimate_sentences(
     return lines
 
 
-def _why_unnamed(nameless: bool) -> str:
+def _why_unnamed(nameless: bool, granted: str) -> str:
     if nameless:
         return "; not named, for what is left without a name may be what moves it"
-    return "; not named, too near its uncertainty or to what the robot file grants"
+    return f"; not named, too near its uncertainty or to {granted}"
 
 
 def _inseparable(found: DriveDiagnosis) -> list[str]:
@@ -243,7 +277,7 @@ def drive_tables(diagnosis: Diagnosis) -> list[Table]:
             ("Figure", "Value", "Std", "Unit", "Cost, m rms", "Path", "Named"),
             estimates,
             "Cost: rms position error over this log if the figure is not taken out. What is not named does not stand out "
-            "of the noise, or lies within what the robot file grants.",
+            "of the noise, or lies within what the robot file grants (where it says nothing: what is usual). Std: one standard deviation.",
         ),
         _table(
             "position_error",

@@ -118,8 +118,8 @@ def _sides_differ(
         return f"By the truth the gyro's scale factor is {larger}; {held}"
     value, std = or_moving_dps
     return (
-        f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} ± {NORMAL_95 * std:.1g} deg/s "
-        f"another while the robot moves (95 %): this drive does not tell which{', and the latter, which more gyros have, is what is told' if told else ''}. "
+        f"By the truth either the gyro's scale factor is {larger}, or its bias is {value:+.2g} deg/s "
+        f"(95 %: {value - NORMAL_95 * std:+.2g} to {value + NORMAL_95 * std:+.2g}) another while the robot moves: this drive does not tell which{', and the latter, which more gyros have, is what is told' if told else ''}. "
         "Turn as much to either side, go straight for longer, or log a better truth"
     )
 
@@ -131,7 +131,7 @@ def _truth_sensor(
 ) -> str:
     def told(figure: tuple[float, float], unit: str, positive: str, negative: str) -> str:
         value, std = figure
-        return f"{abs(value):.3g} ± {NORMAL_95 * std:.1g} {unit} {positive if value > 0.0 else negative}"
+        return f"{abs(value):.3g} ± {std:.1g} {unit} {positive if value > 0.0 else negative}"
 
     places = [
         *([told(lever_ahead, "m", "ahead", "behind")] if lever_ahead else []),
@@ -139,7 +139,7 @@ def _truth_sensor(
     ]
     where = [f"is of a point {' and '.join(places)} of the robot's middle"] if places else []
     when = [f"is {told(clock, 's', 'late', 'early')}"] if clock else []
-    return f"the truth {' and '.join(where + when)} (95 %): that is taken out where paths are laid on it here; `replay` leaves it in"
+    return f"the truth {' and '.join(where + when)}: that is taken out where paths are laid on it here; `replay` leaves it in"
 
 
 def _no_sure_gain(
@@ -217,7 +217,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     ),
     Said.FEW_TEMPERATURES: "it turned in {count} visits to a temperature, one after the other: what changes the scale factor over temperature or time beyond the surface "
     "has no name here; turn at five or more, up and down",
-    Said.SMOOTHED: "temp_c scatters by {rms_c:.2g} degC rms about a smooth course, which stands in its place: the output does not follow the scatter",
+    Said.SMOOTHED: "temp_c scatters by {rms_c:.2g} degC rms about a smooth course, which stands in its place: the output does not show that it follows the scatter",
     Said.NOMINAL_RATES: "rate_dps scatters by {rms_dps:.2g} deg/s rms about {rates} rates, which stand in its place: the output {does} the scatter",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",

@@ -12,7 +12,7 @@ import numpy as np
 from gyrocal.diagnosis.remarks import Note
 from gyrocal.diagnosis.result import Alternative, Diagnosis, Estimate, Improvement, Located, NamedEffect
 from gyrocal.physics.catalogue import described
-from gyrocal.report.diagnosis_layers import nameless, staircase_sentence, unnamed_sentences
+from gyrocal.report.diagnosis_layers import NOT_IN_MEANS, nameless, staircase_sentence, unnamed_sentences
 from gyrocal.report.folds import Fold, fold_of
 from gyrocal.report.reasons import reason_words
 from gyrocal.report.remarks import of_the_data, remark_words, statement
@@ -32,8 +32,6 @@ from gyrocal.units import decimals, p_equals
 
 #: An amplitude that is so much less known than what the effect adds is traded for a shape.
 _TRADED = 4.0
-#: Families whose gain lives in ramps, within a turn or after a step, and hardly in the means of data sets.
-_NOT_IN_MEANS = ("thermal transient", "angle, constant", "angle, with rate", "step")
 #: Larger errors than this are read in deg/s.
 _LARGE_DPS = 0.3
 _FEWEST_UNITS = 8
@@ -185,7 +183,7 @@ def _own_gain(effect: NamedEffect, d: Diagnosis) -> str:
         return ""
     others = [e.effect for e in d.effects if e is not effect and e.improvement is not None]
     beside = f", beside {listed(others)}" if others else ""
-    transient = effect.family in _NOT_IN_MEANS
+    transient = effect.family in NOT_IN_MEANS
     return f"{effect.effect}{beside}: " + _gain(effect.improvement, counted(d), transient)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.fit import rms
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
 from gyrocal.diagnosis.versus.answer import Comparison, Versus, counts_from_s
 from gyrocal.diagnosis.versus.law_file import python_file
@@ -26,8 +27,8 @@ Floats = NDArray[np.float64]
 LAW_JSON, LAW_PYTHON = "law.json", "law.py"
 
 _MOST_RATES = 6
-#: From so many terms on it is said why there are as many, and which share of the law is little.
-_SEVERAL, _LITTLE = 6, 1e-3
+#: From so many terms on it is said why there are as many.
+_SEVERAL = 6
 #: Temperatures that differ by less are one, degC.
 _ONE_C = 1.0
 
@@ -44,7 +45,7 @@ def law_files(found: Versus) -> dict[str, bytes | str]:
         adds = found.terms_dps
         rms_dps = [rms(x) for x in adds]
         head = "Terms beside the surface, the largest first, with what they add and 95 % intervals:"
-        formula = "\n".join([head, *_formula(found, adds), "", *_little(rms_dps), *_valid(found)])
+        formula = "\n".join([head, *_formula(found, adds), "", *_mean_of_models(found), *_valid(found)])
         files[LAW_PYTHON] = python_file(
             found.law, found.match.surface, title, formula, counts_from_s(found.match.difference), rms_dps
         )
@@ -100,7 +101,7 @@ def _partners(m: Match) -> list[str]:
         by = "rate, temperature, order and time"
     sentences = [
         f"{m.matched_sets} of {m.sets} data sets have a partner in the simulation, matched by {by}; its temperature "
-        f"differs by {m.temp_apart_c:.2g} °C rms."
+        f"differs by {m.temp_apart_c:.2g} °C rms{_from_course(m)}."
     ]
     if m.bridged_sets:
         sentences.append(
@@ -113,6 +114,12 @@ def _partners(m: Match) -> list[str]:
             "simulation does not overlap, and nothing is said."
         )
     return sentences
+
+
+def _from_course(m: Match) -> str:
+    """That it is a smooth course that temperatures are compared with, and not what the recording says, where it is."""
+    smoothed = any(isinstance(n, Remark) and n.said is Said.SMOOTHED for n in m.difference.notes)
+    return " from the smooth course of the recording's" if smoothed else ""
 
 
 def _rates(rates_dps: Sequence[float]) -> str:
@@ -141,7 +148,7 @@ def _gain(c: Comparison) -> str:
     low, high = (x / MDPS for x in c.interval_95)
     what = (
         f"Left out, {c.sets} data sets differ from the simulation by {before:.3g} mdeg/s rms, and from the simulation with "
-        f"the law by {after:.3g}; the gain is {range_text(low, high)} (95 %)."
+        f"the law by {after:.3g}; on another run of the same plan the gain is {range_text(low, high)} (95 %)."
     )
     for count, where in (
         (c.beyond, "beyond the rates, the temperatures or the times of the others"),
@@ -212,16 +219,17 @@ def _held_elsewhere(held: float, amplitude: Estimate | None) -> str:
     return f", of which {held:.3g} {amplitude.unit} stand here and the rest in parts without a name"
 
 
-def _little(rms_dps: Sequence[float]) -> list[str]:
-    """Why there are terms that hardly add anything."""
-    little = sum(one < _LITTLE * sum(rms_dps) for one in rms_dps)
-    if len(rms_dps) < _SEVERAL:
-        return []
-    few = (
-        f"; {plural(little, f'{little} of them [adds|add] less than {_LITTLE:.1%} of all')}" if little else ""
-    )
-    return [
-        f"The law is a mean over all models that explain the recording about as well, and has the terms of each, {len(rms_dps)} in "
-        f"all{few}. They stay so that this file gives what was judged on data left out.",
-        "",
-    ]
+def _mean_of_models(found: Versus) -> list[str]:
+    """Why there are so many terms, and which there are not."""
+    lines = []
+    if (count := len(found.law.terms)) >= _SEVERAL:
+        lines.append(
+            f"The law is a mean over all models that explain the recording about as well, and has the terms of each, {count} in all."
+        )
+    if (unseen := found.unseen) is not None:
+        what = "[term that models have which are|terms that models have which are] about as likely [is|are] not in it"
+        lines.append(
+            f"{unseen.count} {plural(unseen.count, what)}: together {unseen.rms_dps / MDPS:.2g} mdeg/s rms, which the data do not show "
+            f"and the uncertainty of the surface in {LAW_JSON} has."
+        )
+    return [*lines, ""] if lines else []

@@ -22,7 +22,7 @@ from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface
 from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.standing import left_by_drifts, state_of_laws
 from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.versus.answer import left_by
+from gyrocal.diagnosis.versus.law import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.effect import Effect

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.series import _Samples, _white_std, missing_samples, series_of_run
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.table_series import _scatter_is_real, series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import read_run
 from gyrocal.report.remarks import remark_words
@@ -207,3 +207,40 @@ def test_samples_of_bad_status_are_not_missing_and_hide_none_that_are(tmp_path: 
 )
 def test_missing_samples_are_whole_multiples_of_an_even_clock(t_s: NDArray[np.float64], missing: int) -> None:
     assert missing_samples(t_s) == missing
+
+
+def test_a_scatter_that_a_simulation_has_too_is_the_temperature_s_where_that_is_likelier() -> None:
+    """A warm-up that was left out of a simulation hid that the output follows: the recording alone was smoothed."""
+    rng = np.random.default_rng(11)
+    rate = np.concatenate([rng.permutation(np.linspace(-100.0, 100.0, 15)) for _ in range(9)])
+    course = np.repeat([-20.0, 0.0, 20.0, 40.0, 60.0, 40.0, 20.0, 0.0, -20.0], 15)
+    t_s = 40.0 * np.arange(135.0) + np.repeat(3600.0 * np.arange(9.0), 15)
+    counts = np.zeros((2, 2), dtype=int)
+    for _ in range(24):
+        temp = course + rng.normal(0.0, 0.3, 135)
+        noise = 0.02 * np.exp(-t_s / 2400.0) + rng.normal(0.0, 2.2e-3, 135)
+        for row, at_c in enumerate((temp, course)):
+            gyro = rate + 1.3e-3 * at_c + 3.8e-5 * rate * at_c + noise
+            counts[row] += [_scatter_is_real(rate, gyro, temp, course, shared=s) for s in (True, False)]
+    (beside, alone), (wrong_beside, wrong_alone) = counts.tolist()
+    assert beside >= 20 > alone
+    assert wrong_beside <= wrong_alone + 1 <= 2
+
+
+def test_a_table_is_a_simulation_s_partner_by_its_temperatures(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    read = 20.0 + 5.0 * np.sin(np.arange(40.0) / 10.0) + rng.normal(0.0, 0.2, 40)
+    rate = np.tile([-50.0, -10.0, 10.0, 50.0], 10)
+    real = DataSetTable(Path("r.csv"), rate, rate + rng.normal(0, 1e-3, 40), read, t_s=60 * np.arange(40.0))
+    asked: list[bool] = []
+
+    def ask(*_: object, shared: bool) -> bool:
+        asked.append(shared)
+        return False
+
+    monkeypatch.setattr("gyrocal.diagnosis.table_series._scatter_is_real", ask)
+    smooth = replace(real, temp_c=20.0 + 5.0 * np.sin(np.arange(40.0) / 10.0))
+    short = DataSetTable(Path("s.csv"), rate[:30], rate[:30], read[:30])
+    for partner in (None, replace(real, temp_c=read + 1e-3), smooth, short):
+        series_of_table(real, partner)
+    assert asked == [False, True, False, False]

@@ -14,12 +14,16 @@ from scipy.stats import multivariate_normal
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.layers import Fitted, Model
 from gyrocal.diagnosis.locate import binned
+from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
 from gyrocal.diagnosis.staircase import leave_out
 from gyrocal.diagnosis.table_series import series_of_table
 from gyrocal.inference.additive import Component
+from gyrocal.report.diagnosis import figures
+from gyrocal.report.diagnosis import tables as tables_of
 from gyrocal.report.diagnosis_layers import (
     layer_rows,
+    not_a_step,
     staircase_figure,
     staircase_sentence,
     unnamed_sentences,
@@ -125,6 +129,28 @@ def test_the_picture_has_a_legend_and_no_number_of_a_bar_stands_over_the_line_of
 
 
 @pytest.mark.slow
+def test_named_effects_that_are_no_step_are_told_with_the_reason(stepped: Diagnosis) -> None:
+    """Of five names two were missing from the table and picture, which said that a layer more is added at each step."""
+    assert [e.effect for e in stepped.effects] == ["scale_step"]
+    assert not_a_step(stepped) == ""
+    own = stepped.effects[0]
+    within = replace(own, effect="table_eccentricity", family="angle, with rate")
+    ringing = replace(own, effect="step_response", family="step")
+    stray = replace(own, effect="bursts", family="sampling", seen=Remark(Said.BURST_SAMPLES, {}))
+    held = replace(own, effect="warm_up", family="time")
+    more = replace(stepped, effects=(own, within, ringing, stray, held))
+    assert not_a_step(more) == (
+        "No steps of their own have table_eccentricity and step_response, found within data sets, whose means hardly show it; "
+        "bursts, found in single samples or data sets; "
+        "warm_up, which parts without a name stand for in the model that the steps are of."
+    )
+    assert not_a_step(replace(more, layers=())) == ""
+    tables = {t.name: t for t in tables_of(more)}
+    assert not_a_step(more) in tables["layers"].note
+    captions = [p.caption for p, _ in figures(more) if p.name == "staircase"]
+    assert not_a_step(more) in captions[0]
+
+
 def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     part = UnnamedPart(
         "rate", "rate shape", 35.2, 0.012, 93.6, 100.8, "deg/s", {"saturation": 12.0}, corrected=True

@@ -51,7 +51,7 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (Said.MISSING_ROWS, {"count": 80, "percent": 1.333, "longest_s": 0.8}, "About 80 rows are missing (1.3 % of the log, the longest gap 0.8 s)."),
         (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": None, "filed": True, "told": False}, "larger in turns to the left than in turns to the right; the robot file has it"),
         (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": None, "filed": False, "told": False}, "By the truth the gyro's scale factor is 1.01 % (95 %: 0.5 to 1.5) larger in turns to the left"),
-        (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": (0.06125, 0.0128), "filed": False, "told": False}, "or its bias is +0.061 ± 0.03 deg/s another while the robot moves (95 %): this drive does not tell which."),
+        (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": (0.06125, 0.0128), "filed": False, "told": False}, "or its bias is +0.061 deg/s (95 %: +0.036 to +0.086) another while the robot moves: this drive does not tell which."),
         (Said.SIDES_DIFFER, SIDES | {"or_moving_dps": (0.06125, 0.0128), "filed": False, "told": True}, "this drive does not tell which, and the latter, which more gyros have, is what is told. Turn"),
         (Said.NO_SURE_GAIN, LACKING, "0.62 only: no improved coefficients are written, for what of it stays with the gyro is known no better than it is large: record"),
         (Said.NO_SURE_GAIN, {**LACKING, "surface_alone": True}, "for none of it stays with the gyro (it is the table's, or passes)"),
@@ -65,9 +65,9 @@ def test_what_a_reader_said_stays_as_it_is() -> None:
         (
             Said.TRUTH_SENSOR,
             {"lever_ahead": (0.4991, 0.0013), "lever_left": (-0.2, 0.0013), "clock": (0.25, 0.01)},
-            "the truth is of a point 0.499 ± 0.003 m ahead and 0.2 ± 0.003 m to the right of the robot's middle and is 0.25 ± 0.02 s late (95 %)",
+            "the truth is of a point 0.499 ± 0.001 m ahead and 0.2 ± 0.001 m to the right of the robot's middle and is 0.25 ± 0.01 s late: that is",
         ),
-        (Said.TRUTH_SENSOR, {"clock": (-0.25, 0.01)}, "the truth is 0.25 ± 0.02 s early (95 %): that is taken out"),
+        (Said.TRUTH_SENSOR, {"clock": (-0.25, 0.01)}, "the truth is 0.25 ± 0.01 s early: that is taken out"),
         (Said.TRUTH_MIRRORED, {}, "the truth follows the path in a mirror only"),
     ],
 )  # fmt: skip

@@ -9,27 +9,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ttest_1samp
+from scipy import stats
 
-from gyrocal.diagnosis.base import carried_terms
+from gyrocal.calibration.fit import rms
 from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
 from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.versus.law import Unseen, law_of, left_by
 from gyrocal.diagnosis.versus.match import Match, enclosed, match, surface_of
 from gyrocal.diagnosis.versus.surfaces import Apart, surfaces_apart
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
-from gyrocal.inference.resampling import block_means
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.smooth import SmoothTerm
 from gyrocal.physics.surface import SHAPE, Surface
-from gyrocal.physics.terms import Term
 from gyrocal.physics.timewise import WARM_UP
-from gyrocal.records.files import finite
 from gyrocal.units import NORMAL_95, S_PER_H
 
 Floats = NDArray[np.float64]
@@ -47,10 +45,6 @@ _FEWEST = 5
 LEVEL = 0.01
 #: A simulation without noise is a surface where none of its rows is off by more, deg/s.
 _EXACT_DPS = 1e-5
-#: Draws of the blocks for the interval of the gain.
-_DRAWS = 2000
-#: Coefficients of the surface, row-major over the orders of rate and temperature.
-_BIAS_AND_SCALE = np.array([0, SHAPE[1]])
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,7 @@ class Comparison:
     Attributes
     ----------
     interval_95 : tuple of float
-        Of the drop, by a bootstrap of whole blocks.
+        Of the drop, if the same plan ran again (`_drop_interval`).
     sets, beyond, beside_jumps : int
         Data sets left out in turn; those whose rate or temperature the others do not enclose, or whose time where the law has
         one of time, and of the others those beside which something jumps: these are not judged, since no surface and no
@@ -114,7 +108,7 @@ class Compared:
 class Versus:
     """A recording against a simulation: partners, what is in the difference, the law to add, and what it brings.
 
-    `law`: surface of the gyro, and terms; what both add to the output, less what the simulation's own surface
+    `law`: surface of the gyro, and terms that the data show (`unseen`: the others); what both add to the output, less what the simulation's own surface
     (``match.surface``) adds already, is to be added to the simulated output. `comparison` is None where the sets
     are too few to leave some out.
     """
@@ -125,6 +119,7 @@ class Versus:
     diagnosis: Diagnosis
     law: Coefficients
     comparison: Comparison | None
+    unseen: Unseen | None = None
 
     @property
     def helps(self) -> bool:
@@ -169,6 +164,7 @@ class Versus:
                 "surfaces_apart": self.surfaces_apart.to_json(),
                 "valid": _valid_json(self.match.difference),
                 "terms": _terms_json(self.law, self.diagnosis),
+                "terms_unseen": None if self.unseen is None else dict(vars(self.unseen)),
             },
             "left_out": None if self.comparison is None else self.comparison.to_json(),
         }
@@ -197,11 +193,16 @@ def versus(
             f"{simulated.name}: says what {real.name} says in every row. Give the simulation, not the recording again."
         )
     matched = match(real, simulated, whole or partial(only_surface, simulated, options))
-    found = diagnose(matched.difference, None, options)
+    comparison = compare(matched, options) if options.heldout else None
+    # What layers gain on data left out from a surface of their own is another figure than what the simulation gains, and
+    # beside that it would be a second answer to the same question.
+    found = diagnose(
+        matched.difference, None, replace(options, heldout=options.heldout and comparison is None)
+    )
     said = tuple(n for n in found.notes if isinstance(n, str) or n.said not in OF_COEFFICIENTS)
     found = replace(found, notes=said)
-    comparison = compare(matched, options) if options.heldout else None
-    return Versus(real.name, simulated.name, matched, found, law_of(found, matched.difference), comparison)
+    law, unseen = law_of(found, matched.difference)
+    return Versus(real.name, simulated.name, matched, found, law, comparison, unseen)
 
 
 def only_surface(simulated: Series, options: Options) -> Surface | None:
@@ -221,72 +222,6 @@ def only_surface(simulated: Series, options: Options) -> Surface | None:
     return surface_of(simulated, "input") if of_input and chosen.direction == "output" else chosen
 
 
-def law_of(found: Diagnosis, difference: Series) -> Coefficients:
-    """The model of the difference, bench and all: surface, terms, and what was named that no robot sees.
-
-    A coefficient file keeps of a drift or a jump only where it left the gyro. Here the laws themselves stand, and the
-    surface gives back what it held of them: bias and scale factor are fitted again beside them. A name that smooth
-    parts of the file stand for takes their place, where it leaves no more than they do.
-    """
-    law = found.improved or found.surface
-    if law is None:
-        raise DataError(f"{found.recording}: the difference has no surface. Give recordings of a bench.")
-    known = {term.name for term in law.terms}
-    square = _square_of(law, difference)
-    for e in found.effects:
-        if e.effect in known or not difference.has_time or not _is_function(e.effect):
-            continue
-        parameters = {
-            n: {"value": p.value, "std": finite(p.std), "unit": p.unit} for n, p in e.parameters.items()
-        }
-        term = Term(e.effect, parameters, False)
-        beside = _refitted(replace(law, terms=(*law.terms, term)), difference, _BIAS_AND_SCALE)
-        if (less := _square_of(beside, difference)) < square:
-            law, square = beside, less
-            continue
-        others = [t for t in law.terms if not (isinstance(t, SmoothTerm) and t.family == e.family)]
-        instead = _refitted(replace(law, terms=(*others, term)), difference, carried_terms(difference))
-        fewer = sum(len(t.columns) for t in law.terms if isinstance(t, SmoothTerm) and t not in others)
-        # What so many columns more take of noise alone (Akaike).
-        if (less := _square_of(instead, difference)) < square * (1.0 + 2.0 * fewer / len(difference)):
-            law, square = instead, less
-    return law
-
-
-def _square_of(law: Coefficients, difference: Series) -> float:
-    """Weighted sum of squares of what a law leaves of the data sets."""
-    rows = difference.is_set | ~difference.is_set.any()
-    left = left_by(law, difference)[rows] / difference.white_std_dps[rows]
-    return float(left @ left)
-
-
-def _refitted(law: Coefficients, difference: Series, terms: Ints) -> Coefficients:
-    """A law with these terms of its surface fitted again beside the others."""
-    rows = difference.is_set | ~difference.is_set.any()
-    weight = 1.0 / difference.white_std_dps[rows]
-    X = law.surface.output_design(difference.rate_dps[rows], difference.temp_c[rows])[:, terms]
-    left = left_by(law, difference)[rows]
-    more = np.zeros(law.surface.coefficients_dps.size)
-    more[terms] = np.linalg.lstsq(X * weight[:, None], left * weight, rcond=1e-10)[0]
-    c = law.surface.coefficients_dps + more.reshape(SHAPE)
-    return replace(law, surface=replace(law.surface, coefficients_dps=c))
-
-
-def _is_function(effect_id: str) -> bool:
-    """Whether a law says what each sample gets: not what the sampling does to it, nor a draw that nobody knows."""
-    effect = find_effect(effect_id)
-    return effect.family != "sampling" and all(p.name != "seed" for p in effect.parameters)
-
-
-def left_by(law: Coefficients, difference: Series) -> Floats:
-    """What a law leaves of a difference, row by row, deg/s."""
-    c = conditions_of(difference)
-    added = sum(term.error_dps(c, law.surface) for term in law.terms)
-    return np.asarray(
-        difference.gyro_dps - law.surface.output_dps(difference.rate_dps, difference.temp_c) - added
-    )
-
-
 def compare(matched: Match, options: Options) -> Comparison | None:
     """The law without some blocks of data sets, on those of these sets that the others enclose."""
     difference = matched.difference
@@ -301,7 +236,7 @@ def compare(matched: Match, options: Options) -> Comparison | None:
         known = ~np.isin(difference.set_index, numbers[held])
         try:
             part = difference.take(known)
-            law = law_of(diagnose(part, None, replace(options, heldout=False)), part)
+            law, _ = law_of(diagnose(part, None, replace(options, heldout=False)), part)
         except DataError:
             return None
         within = enclosed(difference, difference.take(known & difference.is_set))
@@ -315,20 +250,37 @@ def compare(matched: Match, options: Options) -> Comparison | None:
     judged = np.isfinite(after)
     if np.sum(judged) < _FEWEST:
         return None
-    squares = [plain[judged] ** 2, after[judged] ** 2]
-    rms = np.sqrt(block_means(squares, block[judged], _DRAWS, np.random.default_rng(options.seed)))
-    low, high = np.quantile(rms[0] - rms[1], [0.025, 0.975])
-    before, left = (float(np.sqrt(np.mean(x[judged] ** 2))) for x in (plain, after))
+    beyond = int(np.sum(~judged)) - beside_jumps
     rate = set_means(difference, difference.rate_dps)[1][judged]
+    plain, after, block = plain[judged], after[judged], block[judged]
     return Comparison(
-        before,
-        left,
-        (float(low), float(high)),
-        int(np.sum(judged)),
-        int(np.sum(~judged)) - beside_jumps,
+        rms(plain),
+        rms(after),
+        _drop_interval(plain, after, block),
+        plain.size,
+        beyond,
         beside_jumps,
-        _worse_at(rate, squares[1] - squares[0]),
+        _worse_at(rate, after**2 - plain**2),
     )
+
+
+def _drop_interval(before_dps: Floats, after_dps: Floats, block: Ints) -> tuple[float, float]:
+    """95 % interval of the drop of the rms if the same plan ran again, with other noise.
+
+    What a law adds, ``p``, was found without the data sets that it is added to, so that of the drop of the sum of squares,
+    ``sum p (2 y - p)``, the noise in ``y`` alone is open: ``2 sqrt(sum p^2)`` of its standard deviation, more where errors of
+    a block go together. Blocks drawn again would ask for what other stretches of the record gain, and a warm-up
+    has one stretch.
+    """
+    squares, added = float(after_dps @ after_dps), before_dps - after_dps
+    drop = float(before_dps @ before_dps) - squares
+    of_blocks = np.bincount(block, after_dps)
+    # The sums of blocks scatter as independent errors would, or more.
+    noise = max(squares, float(of_blocks @ of_blocks)) / after_dps.size
+    blocks = np.unique(block).size
+    half = stats.t.ppf(0.975, max(blocks - 1, 1)) * 2.0 * np.sqrt(noise * float(added @ added))
+    by = after_dps.size * (rms(before_dps) + rms(after_dps))
+    return float((drop - half) / by), float((drop + half) / by)
 
 
 def _is_of_time(law: Coefficients) -> bool:
@@ -359,7 +311,9 @@ def _worse_at(rate_dps: Floats, grown_dps2: Floats) -> tuple[float, ...]:
     rates = np.round(rate_dps, 2)
     each = {float(r): grown_dps2[rates == r] for r in np.unique(rates)}
     each = {r: grown for r, grown in each.items() if grown.size >= _FEWEST and np.ptp(grown) > 0.0}
-    tests = {r: float(ttest_1samp(grown, 0.0, alternative="greater").pvalue) for r, grown in each.items()}
+    tests = {
+        r: float(stats.ttest_1samp(grown, 0.0, alternative="greater").pvalue) for r, grown in each.items()
+    }
     return tuple(r for r, p in tests.items() if p < LEVEL / len(tests))
 
 

@@ -61,6 +61,10 @@ class Conditions:
     def __getattr__(self, name):
         return self.channels.get(name)
 
+    # Laws of the catalogue that read these as they are do it where they were measured.
+    t_s = property(lambda self: self.need("t_s"))
+    supply_v = property(lambda self: self.need("supply_v"))
+
     def need(self, name):
         """A channel that a law cannot do without."""
         if self.channels.get(name) is None:

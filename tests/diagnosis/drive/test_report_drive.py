@@ -19,9 +19,18 @@ from gyrocal.records.drive import DriveBlock, format_drive_log
 from gyrocal.records.robot import read_robot
 from gyrocal.report import style
 from gyrocal.report.diagnosis_drive import drive_figures, paths, seconds_of
-from gyrocal.report.drive_words import _estimate_sentences, _other, drive_sentences, drive_tables
+from gyrocal.report.drive_words import (
+    _bias_granted,
+    _estimate_sentences,
+    _granted,
+    _other,
+    drive_sentences,
+    drive_tables,
+)
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
+
+_FILED = "what the robot file grants"
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +121,11 @@ def test_a_figure_that_may_be_nothing_is_not_said_to_cost_metres() -> None:
         DriveEstimate("wheel_asymmetry", 0.961, 0.033, "%", 21.0, "encoders", named=False),
     )
     said = _estimate_sentences(
-        figures, taken_off="the rest at the start takes it off", nameless=True, scale_withheld=False
+        figures,
+        taken_off="the rest at the start takes it off",
+        nameless=True,
+        scale_withheld=False,
+        granted=_FILED,
     )
     assert said == [
         "skid slip 27.6 ± 1.2 %: left in, it moves the path along the encoders' heading by 26 m rms",
@@ -121,7 +134,11 @@ def test_a_figure_that_may_be_nothing_is_not_said_to_cost_metres() -> None:
         "Within their uncertainty of nothing: gyro bias in motion -0.30 ± 0.40 deg/s",
     ]
     firm = _estimate_sentences(
-        figures[2:], taken_off="the rest at the start takes it off", nameless=False, scale_withheld=False
+        figures[2:],
+        taken_off="the rest at the start takes it off",
+        nameless=False,
+        scale_withheld=False,
+        granted=_FILED,
     )
     assert firm[0].endswith("not named, too near its uncertainty or to what the robot file grants")
 
@@ -130,7 +147,11 @@ def test_a_scale_that_is_named_and_not_written_is_said_to_be() -> None:
     figures = (DriveEstimate("gyro_scale", -5.66, 0.71, "%", 13.0, "gyro", named=True),)
     for withheld in (True, False):
         (said,) = _estimate_sentences(
-            figures, taken_off="the rest at the start takes it off", nameless=True, scale_withheld=withheld
+            figures,
+            taken_off="the rest at the start takes it off",
+            nameless=True,
+            scale_withheld=withheld,
+            granted=_FILED,
         )
         assert ("not in the robot file" in said) == withheld
 
@@ -140,7 +161,9 @@ def test_what_a_file_has_without_a_name_is_said_to_be_there() -> None:
         DriveEstimate("gyro_asymmetry", 3.05, 0.03, "%", 5.9, "gyro", named=False),
         DriveEstimate("gyro_scale", -0.54, 0.02, "%", 4.0, "gyro", named=False),
     )
-    sides, scale = _estimate_sentences(figures, taken_off="", nameless=True, scale_withheld=False)
+    sides, scale = _estimate_sentences(
+        figures, taken_off="", nameless=True, scale_withheld=False, granted=_FILED
+    )
     assert sides.endswith("by 5.9 m rms; the robot file has it, and the catalogue no name for it")
     assert scale.endswith("by 4 m rms; the robot file has it beside the asymmetry")
 
@@ -199,3 +222,29 @@ def test_a_rival_is_said_to_be_less_likely_or_likelier() -> None:
         "gyro_bias (likelier: 200 to 1 for it)",
         "gyro_bias (likelier: more than 1,000,000 to 1 for it)",
     ]
+
+
+def test_what_a_plus_minus_is_stands_in_the_answer_once(late: DriveDiagnosis) -> None:
+    """Beside intervals of 95 % nothing had said that it is one standard deviation."""
+    lines = drive_sentences(late)
+    saying = [k for k, line in enumerate(lines) if "one standard deviation" in line]
+    assert saying == [next(k for k, line in enumerate(lines) if "±" in line)]
+
+
+def test_a_robot_file_that_says_nothing_grants_nothing(tmp_path: Path) -> None:
+    """A gyro bias was told to lie within what the file grants, where a default of 0.2 deg/s was meant."""
+    path = tmp_path / "robot.toml"
+    keys = ("gyro_bias_dps", "gyro_scale", "wheel_separation_m", "left_scale", "right_scale")
+    for given, says in (
+        ((), "what is usual where the robot file says nothing"),
+        (keys[:1], "what the robot file grants, or what is usual where it says nothing"),
+        (keys, "what the robot file grants"),
+    ):
+        stds = "".join(f"{key} = 0.01\n" for key in given)
+        path.write_text(f"wheel_separation_m = 0.5\nstatic_s = 0.0\n[initial_std]\n{stds}")
+        robot = read_robot(path)
+        assert _granted(robot) == says
+        as_much = _bias_granted(robot)
+        default = f"{robot.initial_std['gyro_bias_dps']:g} deg/s is taken"
+        assert as_much.endswith(default) == (not given)
+        assert (as_much == "the robot file grants as much") == bool(given)

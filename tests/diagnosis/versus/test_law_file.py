@@ -149,6 +149,32 @@ def law_file_of(effect: str, began_s: float | None = None) -> Callable[..., Floa
     return function_of(python_file(law, SURFACE, "Title.", "- formula", began_s=began_s))
 
 
+@pytest.mark.parametrize("name", [*CATALOGUE, "smooth"])
+def test_a_channel_that_was_not_given_is_named(name: str) -> None:
+    """A lag of two samples without times had ended in Python's words, and of one in no lag, without a word."""
+    law = Coefficients(
+        {"model": "t"}, SURFACE, np.eye(12), Valid((-100.0, 100.0), (-10.0, 50.0)), terms=(term(name),)
+    )
+    added = function_of(python_file(law, SURFACE, "Title.", "- formula"))
+    reads = {"t_s"} if name == "smooth" else {*CATALOGUE[name].needs} - {"rate_dps", "temp_c"}
+    if name == "mechanical_resonance":
+        reads = {"t_s"}
+    for rate, temp in (([50.0, 60.0], [20.0, 21.0]), (50.0, 20.0)):
+        if not reads or name in ("thermal_hysteresis", "time_base"):
+            assert np.isfinite(added(rate, temp)).all()
+            continue
+        with pytest.raises(ValueError, match=r"the law needs \w+: give it by this name"):
+            added(rate, temp)
+
+
+def test_a_resonance_that_does_not_scatter_needs_no_times() -> None:
+    values = {**CATALOGUE["mechanical_resonance"].typical(), "scatter": 0.0}
+    law = Term("mechanical_resonance", {k: {"value": v} for k, v in values.items()}, True)
+    valid = Valid((-100.0, 100.0), (-10.0, 50.0))
+    written = Coefficients({"model": "t"}, SURFACE, np.eye(12), valid, terms=(law,))
+    assert np.isfinite(function_of(python_file(written, SURFACE, "Title.", "- f"))(50.0, 20.0)).all()
+
+
 def test_a_law_that_does_not_count_from_power_on_takes_any_time() -> None:
     assert np.isfinite(law_file_of("scale_step", began_s=1.7e9)(10.0, 20.0, t_s=910.0)).all()
 
