@@ -318,7 +318,13 @@ def test_public_things_have_docstrings(path: Path) -> None:
         assert ast.get_docstring(node), f"{path}:{node.lineno}: {node.name} has no docstring"
 
 
-@pytest.mark.parametrize("folder", ["diagnosis", "diagnosis/drive"])
+@pytest.mark.parametrize(
+    "folder",
+    [
+        "diagnosis",
+        *(f"diagnosis/{p.parent.name}" for p in sorted((PACKAGE / "diagnosis").glob("*/__init__.py"))),
+    ],
+)
 def test_a_large_folder_says_in_which_order_to_read_it(folder: str) -> None:
     told = ast.get_docstring(tree_of(PACKAGE / folder / "__init__.py")) or ""
     for path in (PACKAGE / folder).glob("*.py"):
@@ -468,7 +474,7 @@ def test_report_runs_nothing(path: Path) -> None:
 
 #: Where a sentence stands in the rooms of statistics: remedies of errors, equations, and the text of a program that is written.
 SENTENCES = {
-    "gyrocal.diagnosis.inputs",
+    "gyrocal.diagnosis.rows.inputs",
     "gyrocal.diagnosis.versus.answer",
     "gyrocal.diagnosis.versus.law_file",
 }

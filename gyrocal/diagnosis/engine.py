@@ -10,25 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.groups import distinct
-from gyrocal.diagnosis.answer import layers_of, named_effects, open_laws, places_of_table
-from gyrocal.diagnosis.at_rest import temperature_alone
-from gyrocal.diagnosis.base import carried_terms
-from gyrocal.diagnosis.changes import DRIFTS
-from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.correction import correction, doubtful, with_drifts
-from gyrocal.diagnosis.edges import told
+from gyrocal.diagnosis.answer.at_rest import temperature_alone
+from gyrocal.diagnosis.answer.correction import correction, doubtful, with_drifts
+from gyrocal.diagnosis.answer.effects import layers_of, named_effects, open_laws, places_of_table
+from gyrocal.diagnosis.answer.fresh_run import gain_on_a_fresh_run, need_rates, no_file
+from gyrocal.diagnosis.answer.given import simulated_residual, surface_change, with_terms, without_terms
+from gyrocal.diagnosis.answer.locate import coordinate_of, located, unnamed
+from gyrocal.diagnosis.answer.residual import Residuals, residuals
+from gyrocal.diagnosis.answer.rounding import beyond_rounding
+from gyrocal.diagnosis.answer.staircase import staircase
+from gyrocal.diagnosis.answer.surface import surface_alone, with_undetermined
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.fresh_run import gain_on_a_fresh_run, need_rates, no_file
-from gyrocal.diagnosis.given import simulated_residual, surface_change, with_terms, without_terms
-from gyrocal.diagnosis.in_place import passes
-from gyrocal.diagnosis.inputs import check_inputs
-from gyrocal.diagnosis.laws import untestable
-from gyrocal.diagnosis.layers import Fitted
-from gyrocal.diagnosis.locate import coordinate_of, located, unnamed
-from gyrocal.diagnosis.means import angle_random_walk
-from gyrocal.diagnosis.parts import FLICKER
+from gyrocal.diagnosis.laws.at_rows import untestable
+from gyrocal.diagnosis.laws.in_place import passes
+from gyrocal.diagnosis.model.edges import told
+from gyrocal.diagnosis.model.layers import Fitted
+from gyrocal.diagnosis.model.parts import FLICKER
+from gyrocal.diagnosis.model.within import strange_turns
+from gyrocal.diagnosis.names.ways import strange_ways
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.residual import Residuals, residuals
 from gyrocal.diagnosis.result import (
     Diagnosis,
     Improvement,
@@ -39,23 +39,23 @@ from gyrocal.diagnosis.result import (
     UnnamedPart,
     Verdict,
 )
-from gyrocal.diagnosis.rounding import beyond_rounding
-from gyrocal.diagnosis.scatter import (
+from gyrocal.diagnosis.rows.base import carried_terms
+from gyrocal.diagnosis.rows.columns import conditions_of
+from gyrocal.diagnosis.rows.inputs import check_inputs
+from gyrocal.diagnosis.rows.means import angle_random_walk
+from gyrocal.diagnosis.rows.scatter import (
     Finding,
     clock_findings,
     outlier_findings,
     step_findings,
     variance_places,
 )
-from gyrocal.diagnosis.series import Series, series_of_run
-from gyrocal.diagnosis.staircase import staircase
-from gyrocal.diagnosis.strays import far_off, set_aside, stray_findings, without
-from gyrocal.diagnosis.surface import surface_alone, with_undetermined
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.unclocked import ask_for_times
-from gyrocal.diagnosis.visited import LEAST_SPAN_C
-from gyrocal.diagnosis.ways import strange_ways
-from gyrocal.diagnosis.within import strange_turns
+from gyrocal.diagnosis.rows.series import Series, series_of_run
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.rows.visited import LEAST_SPAN_C
+from gyrocal.diagnosis.sweeps.changes import DRIFTS
+from gyrocal.diagnosis.sweeps.strays import far_off, set_aside, stray_findings, without
+from gyrocal.diagnosis.sweeps.unclocked import ask_for_times
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels, look_for_walk
 from gyrocal.physics.catalogue import CATALOGUE
@@ -92,7 +92,7 @@ class Options:
     ----------
     false_alarm_rate : float
         Family-wise rate of patterns within a data set, places and parts without a name where there is nothing; a law has a
-        name by its evidence, `gyrocal.diagnosis.laws.GAIN`, whatever this is.
+        name by its evidence, `gyrocal.diagnosis.laws.at_rows.GAIN`, whatever this is.
     seed : int
         Of the bootstrap.
     heldout : bool

@@ -9,8 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.between import between_sets
-from gyrocal.diagnosis.blocks import (
+from gyrocal.diagnosis.laws.at_rows import GAIN, Laws, effects_of, laws_of
+from gyrocal.diagnosis.laws.contest import ALIKE_NATS
+from gyrocal.diagnosis.laws.in_place import NAMED_LEVEL, Named, by_chance, is_passing
+from gyrocal.diagnosis.laws.jumps import Jump, with_jumps
+from gyrocal.diagnosis.laws.misfit import without_mending
+from gyrocal.diagnosis.model.blocks import (
     REPLACED,
     errors_of_each_rate,
     idle,
@@ -18,14 +22,8 @@ from gyrocal.diagnosis.blocks import (
     present,
     settle_direction,
 )
-from gyrocal.diagnosis.candidates import Candidate, averaged, sine_nats, standing_for_all
-from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, TableSearch, table_search
-from gyrocal.diagnosis.contest import ALIKE_NATS
-from gyrocal.diagnosis.edges import targets, with_edges
-from gyrocal.diagnosis.in_place import NAMED_LEVEL, Named, by_chance, is_passing
-from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import GAIN, Laws, effects_of, laws_of
-from gyrocal.diagnosis.layers import (
+from gyrocal.diagnosis.model.edges import targets, with_edges
+from gyrocal.diagnosis.model.layers import (
     WANDERING_BIAS,
     WANDERING_SCALE,
     Fitted,
@@ -34,18 +32,29 @@ from gyrocal.diagnosis.layers import (
     full_model,
     surface_of,
 )
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.misfit import without_mending
-from gyrocal.diagnosis.names import Naming, jumped, may_lose, name
-from gyrocal.diagnosis.open_loop import slope_of, told_as_sine, with_open_loop
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, FOLLOWING, ODD, PASSING, SCALE_IN_TIME, Basis, passing
-from gyrocal.diagnosis.rate_errors import of_a_table, with_tails
-from gyrocal.diagnosis.rivals import paid_by
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.settling import settling
-from gyrocal.diagnosis.strays import NO_STRAYS, Strays, strays_beside, without
-from gyrocal.diagnosis.unclocked import leaps
-from gyrocal.diagnosis.within import Pattern, patterns
+from gyrocal.diagnosis.model.parts import (
+    BLOCKS,
+    EACH_RATE,
+    FOLLOWING,
+    ODD,
+    PASSING,
+    SCALE_IN_TIME,
+    Basis,
+    passing,
+)
+from gyrocal.diagnosis.model.rate_errors import of_a_table, with_tails
+from gyrocal.diagnosis.model.settling import settling
+from gyrocal.diagnosis.model.within import Pattern, patterns
+from gyrocal.diagnosis.names.between import between_sets
+from gyrocal.diagnosis.names.naming import Naming, jumped, may_lose, name
+from gyrocal.diagnosis.names.rivals import paid_by
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.series import Series
+from gyrocal.diagnosis.sweeps.candidates import Candidate, averaged, sine_nats, standing_for_all
+from gyrocal.diagnosis.sweeps.coil import SHAPES, TOLL_NATS, TableSearch, table_search
+from gyrocal.diagnosis.sweeps.open_loop import slope_of, told_as_sine, with_open_loop
+from gyrocal.diagnosis.sweeps.strays import NO_STRAYS, Strays, strays_beside, without
+from gyrocal.diagnosis.sweeps.unclocked import leaps
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.disturbance import STEP_RESPONSE

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.history import TemperatureHistory
-from gyrocal.diagnosis.series import Raw, Series
+from gyrocal.diagnosis.rows.history import TemperatureHistory
+from gyrocal.diagnosis.rows.series import Raw, Series
 from gyrocal.units import S_PER_H, S_PER_MIN
 
 Floats = NDArray[np.float64]

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from gyrocal.diagnosis.base import simulate
-from gyrocal.diagnosis.columns import conditions_of, offer_of
+from gyrocal.diagnosis.answer.untimed import by_time
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect, Rows
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.untimed import by_time
+from gyrocal.diagnosis.rows.base import simulate
+from gyrocal.diagnosis.rows.columns import conditions_of, offer_of
+from gyrocal.diagnosis.rows.series import Series
 from gyrocal.inference.gram import Projection, project
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.physics.catalogue import CATALOGUE

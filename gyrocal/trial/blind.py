@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from gyrocal.bench.profile import Profile, VirtualTableSpec, load_profile
 from gyrocal.bench.session import AcquireConfig, acquire
-from gyrocal.diagnosis.base import Base, fit_surface
-from gyrocal.diagnosis.columns import conditions_of, offer_of
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.laws import untestable
+from gyrocal.diagnosis.laws.at_rows import untestable
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.diagnosis.series import Series, series_of_run
+from gyrocal.diagnosis.rows.base import Base, fit_surface
+from gyrocal.diagnosis.rows.columns import conditions_of, offer_of
+from gyrocal.diagnosis.rows.series import Series, series_of_run
 from gyrocal.errors import ProfileError
 from gyrocal.inference.gram import project
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel, estimate_levels

@@ -29,8 +29,8 @@ import click
 import numpy as np
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.series import Series, series_of_run
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.series import Series, series_of_run
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.diagnosis.versus.between import between
 from gyrocal.records.datasets import read_data_sets
@@ -46,14 +46,14 @@ from tests.diagnosis.versus.tables import SURFACE, plan, table
 PACKAGE = Path(__file__).parents[2] / "gyrocal"
 #: What recordings of either kind do not read, by folder or file of `gyrocal/diagnosis`.
 ONLY_TABLES = (
-    "candidates.py",
-    "changes.py",
-    "coil.py",
-    "finer.py",
-    "fresh_run.py",
-    "lag_posterior.py",
-    "table_series.py",
-    "untimed.py",
+    "sweeps/candidates.py",
+    "sweeps/changes.py",
+    "sweeps/coil.py",
+    "sweeps/finer.py",
+    "answer/fresh_run.py",
+    "sweeps/lag_posterior.py",
+    "rows/table_series.py",
+    "answer/untimed.py",
 )
 ONLY_DRIVES, ONLY_VERSUS = "drive/", "versus/"
 #: Share of the data sets that a simulation has, of those that are compared with one.

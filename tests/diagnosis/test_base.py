@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import carried_terms, fit_surface
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.base import carried_terms, fit_surface
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 

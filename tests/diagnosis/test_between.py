@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis import between
-from gyrocal.diagnosis.between import between_sets
 from gyrocal.diagnosis.engine import series_of
-from gyrocal.diagnosis.estimates import of_pattern
 from gyrocal.diagnosis.examine import fit_anyhow
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.within import Pattern, patterns
+from gyrocal.diagnosis.laws.estimates import of_pattern
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.within import Pattern, patterns
+from gyrocal.diagnosis.names import between
+from gyrocal.diagnosis.names.between import between_sets
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.series import Series
 from gyrocal.units import MDPS
 from tests.diagnosis.concealed_bench import make_recording, write_run
 

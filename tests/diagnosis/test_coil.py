@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.answer import _instead_of_each_rate, named_effects
-from gyrocal.diagnosis.blocks import idle
-from gyrocal.diagnosis.candidates import AVERAGED_NATS, Candidate, averaged, sine_nats
-from gyrocal.diagnosis.changes import Change, Changes
-from gyrocal.diagnosis.coil import SHAPES, TOLL_NATS, replaced, table_search
-from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.answer.correction import correction
+from gyrocal.diagnosis.answer.effects import _instead_of_each_rate, named_effects
+from gyrocal.diagnosis.answer.locate import located
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import _beyond_doubt, examine
-from gyrocal.diagnosis.laws import Laws, laws_of
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.locate import located
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.parts import frame_of
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import Laws, laws_of
+from gyrocal.diagnosis.model.blocks import idle
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.parts import frame_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.candidates import AVERAGED_NATS, Candidate, averaged, sine_nats
+from gyrocal.diagnosis.sweeps.changes import Change, Changes
+from gyrocal.diagnosis.sweeps.coil import SHAPES, TOLL_NATS, replaced, table_search
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis import correction as module
-from gyrocal.diagnosis.blocks import around_itself
-from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.correction import _estimate, _items, correction, doubtful, mixed
+from gyrocal.diagnosis.answer import correction as module
+from gyrocal.diagnosis.answer.correction import _estimate, _items, correction, doubtful, mixed
+from gyrocal.diagnosis.answer.standing import left_by_drifts, state_of_laws
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.standing import left_by_drifts, state_of_laws
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.model.blocks import around_itself
+from gyrocal.diagnosis.model.layers import Fitted, Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.candidates import Candidate
 from gyrocal.diagnosis.versus.law import left_by
 from gyrocal.fusion.coefficients import parse_coefficients
 from gyrocal.fusion.compensation import Compensator

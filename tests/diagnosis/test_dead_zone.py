@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable

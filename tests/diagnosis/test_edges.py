@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.correction import correction
-from gyrocal.diagnosis.edges import targets, told, with_edges
+from gyrocal.diagnosis.answer.correction import correction
 from gyrocal.diagnosis.examine import examine, fit_anyhow
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.model.edges import targets, told, with_edges
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
 

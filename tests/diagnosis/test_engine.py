@@ -14,8 +14,8 @@ from gyrocal.diagnosis.engine import Options, _laws_written, _not_logged, _writt
 from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Estimate, NamedEffect, Verdict
-from gyrocal.diagnosis.series import series_of_run
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.series import series_of_run
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid, parse_coefficients

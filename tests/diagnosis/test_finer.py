@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrocal.diagnosis.coil import table_search
-from gyrocal.diagnosis.finer import halved, neighbours
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.coil import table_search
+from gyrocal.diagnosis.sweeps.finer import halved, neighbours
 from gyrocal.records.datasets import DataSetTable
 
 COARSE = (100.0, 200.0, 400.0, 800.0, 1600.0)

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.changes import Change
-from gyrocal.diagnosis.coil import table_search
+from gyrocal.diagnosis.answer.fresh_run import Gain, gain_on_a_fresh_run, no_file, without_rate
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.fresh_run import Gain, gain_on_a_fresh_run, no_file, without_rate
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import Means, means_of
-from gyrocal.diagnosis.parts import polynomials
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.parts import polynomials
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.means import Means, means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.changes import Change
+from gyrocal.diagnosis.sweeps.coil import table_search
 from gyrocal.errors import DataError
 from gyrocal.fusion import Coefficients, Term, Valid
 from gyrocal.physics.rate_shapes import LOCKED

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis import blocks
-from gyrocal.diagnosis.answer import _SINE_FIFTH
-from gyrocal.diagnosis.blocks import evidence, present
-from gyrocal.diagnosis.contest import best_law
+from gyrocal.diagnosis.answer.effects import _SINE_FIFTH
 from gyrocal.diagnosis.engine import diagnose
-from gyrocal.diagnosis.laws import Laws, effects_of, laws_of
-from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import Laws, effects_of, laws_of
+from gyrocal.diagnosis.laws.contest import best_law
+from gyrocal.diagnosis.model import blocks
+from gyrocal.diagnosis.model.blocks import evidence, present
+from gyrocal.diagnosis.model.layers import Fitted, Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.physics.rate import DEAD_ZONE, SAGNAC_SINE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable

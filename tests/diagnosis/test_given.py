@@ -10,12 +10,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.at_rest import temperature_alone
+from gyrocal.diagnosis.answer.at_rest import temperature_alone
+from gyrocal.diagnosis.answer.given import surface_change, with_terms
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.given import surface_change, with_terms
-from gyrocal.diagnosis.means import means_of
 from gyrocal.diagnosis.remarks import Said
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.coefficients import Coefficients, Valid
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.surface import SHAPE, Surface

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
-from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.inputs import check_inputs
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import versus
 from gyrocal.errors import DataError, InputError
 from gyrocal.fusion.coefficients import Coefficients, Valid

@@ -10,8 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from gyrocal.diagnosis.estimates import of_draws
-from gyrocal.diagnosis.intervals import (
+from gyrocal.diagnosis.answer.locate import block_p_value
+from gyrocal.diagnosis.laws.at_rows import Laws
+from gyrocal.diagnosis.laws.estimates import of_draws
+from gyrocal.diagnosis.laws.scan import Scan
+from gyrocal.diagnosis.model.intervals import (
     Point,
     along_axis,
     amplitude_interval,
@@ -20,12 +23,9 @@ from gyrocal.diagnosis.intervals import (
     profile_interval,
     shapes_within,
 )
-from gyrocal.diagnosis.laws import Laws
-from gyrocal.diagnosis.layers import Fitted, Law
-from gyrocal.diagnosis.locate import block_p_value
-from gyrocal.diagnosis.rate_errors import of_a_table
+from gyrocal.diagnosis.model.layers import Fitted, Law
+from gyrocal.diagnosis.model.rate_errors import of_a_table
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scan import Scan
 from gyrocal.physics.catalogue import find_effect
 
 Floats = NDArray[np.float64]

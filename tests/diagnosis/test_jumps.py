@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis import jumps
 from gyrocal.diagnosis.examine import examine, fit_anyhow, wandering
-from gyrocal.diagnosis.jumps import Jump, with_jumps
-from gyrocal.diagnosis.laws import GAIN, laws_of
-from gyrocal.diagnosis.layers import full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws import jumps
+from gyrocal.diagnosis.laws.at_rows import GAIN, laws_of
+from gyrocal.diagnosis.laws.jumps import Jump, with_jumps
+from gyrocal.diagnosis.model.layers import full_model, surface_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 _SETS = 90

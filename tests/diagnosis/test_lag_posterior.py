@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gyrocal.diagnosis.coil import table_search
-from gyrocal.diagnosis.lag_posterior import lag_estimates
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.model.layers import full_model
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.coil import table_search
+from gyrocal.diagnosis.sweeps.lag_posterior import lag_estimates
 from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 

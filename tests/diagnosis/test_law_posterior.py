@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from gyrocal.diagnosis.law_posterior import _between, _quantiles
+from gyrocal.diagnosis.sweeps.law_posterior import _between, _quantiles
 
 
 def test_of_one_model_the_interval_is_normal() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import series_of
-from gyrocal.diagnosis.laws import Laws, laws_of, wanted
-from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.laws.at_rows import Laws, laws_of, wanted
+from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.surface import Surface

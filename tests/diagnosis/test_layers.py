@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.blocks import around_itself, settle_direction
-from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.answer.correction import correction
 from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.examine import examine, fit_anyhow
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Law, beyond_input, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import _at_rest
-from gyrocal.diagnosis.parts import SURFACE, legendre_to_powers, polynomials, staying
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.model.blocks import around_itself, settle_direction
+from gyrocal.diagnosis.model.layers import Law, beyond_input, fit_model, full_model, surface_of
+from gyrocal.diagnosis.model.parts import SURFACE, legendre_to_powers, polynomials, staying
+from gyrocal.diagnosis.model.within import patterns
+from gyrocal.diagnosis.names.naming import _at_rest
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.diagnosis.series import series_of_run
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.within import patterns
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.series import series_of_run
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.errors import CoefficientError
 from gyrocal.fusion.coefficients import Coefficients, parse_coefficients
 from gyrocal.fusion.compensation import Compensator

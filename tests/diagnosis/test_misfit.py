@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.misfit import changing, with_misfit, without_mending
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.laws.misfit import changing, with_misfit, without_mending
+from gyrocal.diagnosis.model.layers import Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.records.datasets import DataSetTable
 

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis import blocks
-from gyrocal.diagnosis.blocks import REPLACED, less
-from gyrocal.diagnosis.coil import TOLL_NATS
-from gyrocal.diagnosis.contest import ALIKE_NATS, best_law
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
-from gyrocal.diagnosis.estimates import of_law
 from gyrocal.diagnosis.examine import examine, fit_anyhow
-from gyrocal.diagnosis.in_place import Alone, Named, _paired
-from gyrocal.diagnosis.laws import effects_of, laws_of
-from gyrocal.diagnosis.layers import Fitted, Law, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming, _least_worth, _mechanisms, may_lose, still_there
-from gyrocal.diagnosis.parts import BLOCKS, EACH_RATE, ODD
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
+from gyrocal.diagnosis.laws.contest import ALIKE_NATS, best_law
+from gyrocal.diagnosis.laws.estimates import of_law
+from gyrocal.diagnosis.laws.in_place import Alone, Named, _paired
+from gyrocal.diagnosis.model import blocks
+from gyrocal.diagnosis.model.blocks import REPLACED, less
+from gyrocal.diagnosis.model.layers import Fitted, Law, full_model, surface_of
+from gyrocal.diagnosis.model.parts import BLOCKS, EACH_RATE, ODD
+from gyrocal.diagnosis.names.naming import Naming, _least_worth, _mechanisms, may_lose, still_there
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.coil import TOLL_NATS
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
 from gyrocal.records.datasets import DataSetTable

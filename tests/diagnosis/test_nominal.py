@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.nominal import nominal_rates
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.nominal import nominal_rates
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]

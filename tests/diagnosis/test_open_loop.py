@@ -10,20 +10,20 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis import open_loop
-from gyrocal.diagnosis.changes import Change
-from gyrocal.diagnosis.coil import table_search
-from gyrocal.diagnosis.correction import correction
+from gyrocal.diagnosis.answer.correction import correction
 from gyrocal.diagnosis.engine import _before_sine, diagnose
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.in_place import Named
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Law, OpenLoop, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.laws.in_place import Named
+from gyrocal.diagnosis.model.layers import Law, OpenLoop, full_model, surface_of
+from gyrocal.diagnosis.names.naming import Naming
 from gyrocal.diagnosis.remarks import Said
 from gyrocal.diagnosis.result import NamedEffect
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps import open_loop
+from gyrocal.diagnosis.sweeps.changes import Change
+from gyrocal.diagnosis.sweeps.coil import table_search
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.rate import SATURATION
 from gyrocal.records.datasets import DataSetTable

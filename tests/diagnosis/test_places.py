@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.answer.given import without_terms
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.given import without_terms
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
 from tests.diagnosis.test_engine import make_table

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.diagnosis.examine import fit_anyhow
-from gyrocal.diagnosis.layers import Fitted, Model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.parts import EACH_RATE
-from gyrocal.diagnosis.rate_errors import largest, toll, with_tails
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.model.layers import Fitted, Model, full_model, surface_of
+from gyrocal.diagnosis.model.parts import EACH_RATE
+from gyrocal.diagnosis.model.rate_errors import largest, toll, with_tails
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]

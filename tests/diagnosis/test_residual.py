@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.blocks import plain
+from gyrocal.diagnosis.answer.residual import residuals
+from gyrocal.diagnosis.answer.surface import surface_alone
 from gyrocal.diagnosis.engine import _explained_scatter, _found
 from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.layers import DIRECTION
+from gyrocal.diagnosis.model.blocks import plain
+from gyrocal.diagnosis.model.layers import DIRECTION
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.residual import residuals
 from gyrocal.diagnosis.result import Located
-from gyrocal.diagnosis.scatter import Finding
-from gyrocal.diagnosis.surface import surface_alone
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.scatter import Finding
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.physics.rate import MECHANICAL_RESONANCE
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.answer.rising import rising
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import Law, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.rising import rising
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.model.layers import Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.records.datasets import DataSetTable

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.coil import TOLL_NATS
-from gyrocal.diagnosis.estimates import likely_shapes
-from gyrocal.diagnosis.in_place import Named
-from gyrocal.diagnosis.jumps import boundaries
-from gyrocal.diagnosis.laws import Laws, laws_of
-from gyrocal.diagnosis.layers import Fitted, Law, fit_model, full_model, surface_of
-from gyrocal.diagnosis.means import Means, means_of
-from gyrocal.diagnosis.rivals import or_lasting, or_passing, with_rivals
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import Laws, laws_of
+from gyrocal.diagnosis.laws.estimates import likely_shapes
+from gyrocal.diagnosis.laws.in_place import Named
+from gyrocal.diagnosis.laws.jumps import boundaries
+from gyrocal.diagnosis.model.layers import Fitted, Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.names.rivals import or_lasting, or_passing, with_rivals
+from gyrocal.diagnosis.rows.means import Means, means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.coil import TOLL_NATS
 from gyrocal.physics.effect import Effect
 from gyrocal.physics.rate import RATE_ORDER, SATURATION
 from gyrocal.physics.thermal import THERMAL_HYSTERESIS, THERMAL_LAG

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal.diagnosis.answer.rounding import beyond_rounding
 from gyrocal.diagnosis.examine import Examination, examine
-from gyrocal.diagnosis.layers import standing
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.rounding import beyond_rounding
-from gyrocal.diagnosis.series import Raw, Series
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.model.layers import standing
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.series import Raw, Series
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 _STEP_DPS = 0.1

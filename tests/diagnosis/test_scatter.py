@@ -10,20 +10,20 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.order import SURROGATE_PERIOD_S
+from gyrocal.diagnosis.answer.untimed import between_sets, by_data_set, by_time
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.scatter import (
+from gyrocal.diagnosis.rows.order import SURROGATE_PERIOD_S
+from gyrocal.diagnosis.rows.scatter import (
     clock_findings,
     dead_sets,
     outlier_findings,
     step_findings,
     variance_places,
 )
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.strays import set_aside
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.untimed import between_sets, by_data_set, by_time
+from gyrocal.diagnosis.rows.series import Series
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.strays import set_aside
 from gyrocal.inference.whitening import NoiseLevels, NoiseModel
 from gyrocal.records.datasets import DataSetTable
 

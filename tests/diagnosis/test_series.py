@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.series import _Samples, _white_std, missing_samples, series_of_run
-from gyrocal.diagnosis.table_series import _scatter_is_real, series_of_table
+from gyrocal.diagnosis.rows.series import _Samples, _white_std, missing_samples, series_of_run
+from gyrocal.diagnosis.rows.table_series import _scatter_is_real, series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.records.run import read_run
 from gyrocal.report.remarks import remark_words
@@ -238,7 +238,7 @@ def test_a_table_is_a_simulation_s_partner_by_its_temperatures(monkeypatch: pyte
         asked.append(shared)
         return False
 
-    monkeypatch.setattr("gyrocal.diagnosis.table_series._scatter_is_real", ask)
+    monkeypatch.setattr("gyrocal.diagnosis.rows.table_series._scatter_is_real", ask)
     smooth = replace(real, temp_c=20.0 + 5.0 * np.sin(np.arange(40.0) / 10.0))
     short = DataSetTable(Path("s.csv"), rate[:30], rate[:30], read[:30])
     for partner in (None, replace(real, temp_c=read + 1e-3), smooth, short):

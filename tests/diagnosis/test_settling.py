@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.settling import settling
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.model.settling import settling
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 
 Floats = NDArray[np.float64]

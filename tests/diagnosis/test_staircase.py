@@ -11,13 +11,13 @@ import pytest
 from matplotlib.text import Annotation
 from scipy.stats import multivariate_normal
 
+from gyrocal.diagnosis.answer.locate import binned
+from gyrocal.diagnosis.answer.staircase import leave_out
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.layers import Fitted, Model
-from gyrocal.diagnosis.locate import binned
+from gyrocal.diagnosis.model.layers import Fitted, Model
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
-from gyrocal.diagnosis.staircase import leave_out
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.inference.additive import Component
 from gyrocal.report.diagnosis import figures
 from gyrocal.report.diagnosis import tables as tables_of

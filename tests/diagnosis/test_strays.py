@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.candidates import Candidate
-from gyrocal.diagnosis.coil import table_search
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import examine
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
+from gyrocal.diagnosis.model.layers import full_model
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.strays import NO_STRAYS, Strays, gross_strays, stray_findings, strays_beside
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.candidates import Candidate
+from gyrocal.diagnosis.sweeps.coil import table_search
+from gyrocal.diagnosis.sweeps.strays import NO_STRAYS, Strays, gross_strays, stray_findings, strays_beside
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import WORDS
 

@@ -10,15 +10,15 @@ import pytest
 
 from gyrocal.calibration.choice import fit_chosen
 from gyrocal.calibration.datasets import load_recording
+from gyrocal.diagnosis.answer.surface import surface_alone
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.examine import Examination, alive
-from gyrocal.diagnosis.laws import laws_of
-from gyrocal.diagnosis.layers import fit_model, full_model
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.names import Naming
-from gyrocal.diagnosis.series import series_of_run
-from gyrocal.diagnosis.surface import surface_alone
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.laws.at_rows import laws_of
+from gyrocal.diagnosis.model.layers import fit_model, full_model
+from gyrocal.diagnosis.names.naming import Naming
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.series import series_of_run
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.surface import SHAPE, Surface
 from gyrocal.records.datasets import DataSetTable, read_data_sets

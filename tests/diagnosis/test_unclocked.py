@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.order import LEAP_SETS, SURROGATE_PERIOD_S, clock_s, leaps_before
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.unclocked import leaps
+from gyrocal.diagnosis.rows.order import LEAP_SETS, SURROGATE_PERIOD_S, clock_s, leaps_before
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.sweeps.unclocked import leaps
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.remarks import remark_words

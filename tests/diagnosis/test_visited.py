@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.laws import effects_of, laws_of
-from gyrocal.diagnosis.layers import full_model
-from gyrocal.diagnosis.means import means_of
-from gyrocal.diagnosis.parts import AT_FEW
+from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
+from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.parts import AT_FEW
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.visited import shows_scale, steps_of_scale, temperatures_apart, visits_turned_at
+from gyrocal.diagnosis.rows.means import means_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.diagnosis.rows.visited import shows_scale, steps_of_scale, temperatures_apart, visits_turned_at
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import Surface

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.base import fit_surface
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.table_series import series_of_table
-from gyrocal.diagnosis.ways import strange_ways
+from gyrocal.diagnosis.names.ways import strange_ways
+from gyrocal.diagnosis.rows.base import fit_surface
+from gyrocal.diagnosis.rows.series import Series
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.report.words import region_words
 from tests.diagnosis.versus.tables import SURFACE

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import series_of
-from gyrocal.diagnosis.estimates import _shapes, of_pattern
-from gyrocal.diagnosis.within import Pattern, jackknife, patterns
+from gyrocal.diagnosis.laws.estimates import _shapes, of_pattern
+from gyrocal.diagnosis.model.within import Pattern, jackknife, patterns
+from gyrocal.diagnosis.rows.columns import conditions_of
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
 from tests.diagnosis.concealed_bench import make_recording, write_run

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from gyrocal.diagnosis.history import temperature_history
-from gyrocal.diagnosis.series import Raw, Series
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.history import temperature_history
+from gyrocal.diagnosis.rows.series import Raw, Series
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.inference.whitening import (
     TAUS_S,
     Likelihood,

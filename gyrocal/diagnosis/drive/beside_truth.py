@@ -22,7 +22,7 @@ from gyrocal.diagnosis.drive.search import MOST, YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import sides_of
 from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer, Uneven, ask_truth
-from gyrocal.diagnosis.intervals import RISE_INSTANT_95
+from gyrocal.diagnosis.model.intervals import RISE_INSTANT_95
 from gyrocal.physics.drive import GYRO_SCALE
 from gyrocal.units import NORMAL_95
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from gyrocal.diagnosis.answer.staircase import LeftOut, improvement
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import Bools, Floats, Ints
 from gyrocal.diagnosis.drive.weighing import Gram, gram_of
 from gyrocal.diagnosis.drive.yaw import LEFT_OUT
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement
-from gyrocal.diagnosis.staircase import LeftOut, improvement
 from gyrocal.units import RAD_TO_DEG
 
 #: Length of what is left out, s, and every how many-th of them together: a longer one would hold a whole rest, and with

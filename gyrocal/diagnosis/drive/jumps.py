@@ -14,7 +14,7 @@ from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.diagnosis.drive.weighing import Evidence, evidence
 from gyrocal.diagnosis.drive.yaw import YawModel
-from gyrocal.diagnosis.intervals import RISE_INSTANT_95
+from gyrocal.diagnosis.model.intervals import RISE_INSTANT_95
 
 Floats = NDArray[np.float64]
 

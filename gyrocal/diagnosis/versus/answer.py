@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gyrocal.calibration.fit import rms
-from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.inputs import check_inputs
 from gyrocal.diagnosis.remarks import OF_COEFFICIENTS
 from gyrocal.diagnosis.result import Diagnosis, Estimate
-from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.rows.columns import conditions_of
+from gyrocal.diagnosis.rows.inputs import check_inputs
+from gyrocal.diagnosis.rows.series import Series, set_means
 from gyrocal.diagnosis.versus.law import Unseen, law_of, left_by
 from gyrocal.diagnosis.versus.match import Match, enclosed, match, surface_of
 from gyrocal.diagnosis.versus.surfaces import Apart, surfaces_apart

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import carried_terms, simulate, with_coefficients
-from gyrocal.diagnosis.columns import conditions_of
-from gyrocal.diagnosis.laws import GAIN
+from gyrocal.diagnosis.laws.at_rows import GAIN
 from gyrocal.diagnosis.result import Estimate, NamedEffect
-from gyrocal.diagnosis.series import set_means
+from gyrocal.diagnosis.rows.base import carried_terms, simulate, with_coefficients
+from gyrocal.diagnosis.rows.columns import conditions_of
+from gyrocal.diagnosis.rows.series import set_means
 from gyrocal.diagnosis.versus.answer import LEVEL, Versus
 from gyrocal.diagnosis.versus.surfaces import of_rate_alone
 from gyrocal.fusion.coefficients import Coefficients

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.fit import rms
-from gyrocal.diagnosis.base import carried_terms
-from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.result import Diagnosis
-from gyrocal.diagnosis.series import Series, set_means
+from gyrocal.diagnosis.rows.base import carried_terms
+from gyrocal.diagnosis.rows.columns import conditions_of
+from gyrocal.diagnosis.rows.series import Series, set_means
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import find_effect

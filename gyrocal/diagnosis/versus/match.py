@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.base import carried_terms
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.table_series import FEWEST_ROWS
+from gyrocal.diagnosis.rows.base import carried_terms
+from gyrocal.diagnosis.rows.series import Series
+from gyrocal.diagnosis.rows.table_series import FEWEST_ROWS
 from gyrocal.errors import DataError
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.units import RAD_TO_DEG, STDS_PER_MAD

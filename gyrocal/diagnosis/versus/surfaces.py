@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.series import Series
+from gyrocal.diagnosis.rows.series import Series
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions

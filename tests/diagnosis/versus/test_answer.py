@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.columns import conditions_of
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.columns import conditions_of
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import (
     Comparison,
     Versus,

@@ -9,7 +9,7 @@ import pytest
 
 from gyrocal.diagnosis.engine import Options
 from gyrocal.diagnosis.result import Estimate
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import Versus, versus
 from gyrocal.diagnosis.versus.between import Between, _pooled, between
 from gyrocal.report.between import between_file, between_table, between_told

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import Options, series_of
-from gyrocal.diagnosis.series import Series
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.series import Series
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.answer import only_surface
 from gyrocal.diagnosis.versus.match import match
 from gyrocal.errors import DataError

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.table_series import series_of_table
+from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.versus.surfaces import surfaces_apart
 from gyrocal.fusion import Coefficients, Valid
 from gyrocal.physics.surface import Direction
