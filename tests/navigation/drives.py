@@ -127,7 +127,7 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
     ),
     "gyro in deg/h": (
         _with(gyro_dps=lambda b: 3600.0 * b.gyro_dps),
-        "no robot turns so fast: it is in deg/h, or in counts.",
+        "no robot turns so fast: it is in mdeg/s (1,000 times), in deg/h (3,600 times), or in counts.",
     ),
     "gyro converted twice": (
         _with(gyro_dps=lambda b: np.degrees(b.gyro_dps)),

@@ -14,7 +14,7 @@ from gyrocal.navigation.track import Recorder, Track
 def recorded(innovation_deg: np.ndarray[Any, np.dtype[np.float64]], cuts: list[int]) -> Track:
     """A track of innovations of deviation two, with nothing else in it."""
     robot = SimpleNamespace(gate_sigma=5.0)
-    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=robot)
+    navigator = SimpleNamespace(covariance=np.zeros((9, 9)), counts=None, robot=robot, filtering=True)
     recorder = Recorder(cast(Any, navigator))
     for part in np.split(innovation_deg, cuts):
         nothing, rows = np.zeros(part.size), np.zeros((part.size, 9))
