@@ -28,7 +28,6 @@ from gyrocal.diagnosis.model.layers import (
     WANDERING_SCALE,
     Fitted,
     Model,
-    fit_model,
     full_model,
     surface_of,
 )
@@ -37,13 +36,13 @@ from gyrocal.diagnosis.model.parts import (
     EACH_RATE,
     FOLLOWING,
     ODD,
-    PASSING,
     SCALE_IN_TIME,
     Basis,
     passing,
 )
 from gyrocal.diagnosis.model.rate_errors import of_a_table, with_tails
 from gyrocal.diagnosis.model.settling import settling
+from gyrocal.diagnosis.model.starts import alive, draws_of, fit_anyhow, wandering
 from gyrocal.diagnosis.model.within import Pattern, patterns
 from gyrocal.diagnosis.names.between import between_sets
 from gyrocal.diagnosis.names.naming import Naming, jumped, may_lose, name
@@ -61,9 +60,6 @@ from gyrocal.physics.disturbance import STEP_RESPONSE
 from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
-
-#: Where variances start that are to be tried last.
-_LOW_START = -9.0
 
 
 @dataclass(frozen=True)
@@ -461,32 +457,6 @@ def _with_jumps(whole: Fitted, passes: Sequence[Component], laws: Laws) -> tuple
     more = [*map(jumped, instead[len(jumps) :])]
     at_most = beside.nll + (may_lose(more) if more else REPLACED + len(instead) - len(jumps))
     return (plain, instead) if instead and plain.nll <= at_most else (beside, jumps)
-
-
-def draws_of(full: Model) -> Component | None:
-    """The component of an error of each rate, where the record has rates enough."""
-    return next((c for n, c in full.components.items() if PASSING.get(n) == EACH_RATE), None)
-
-
-def wandering(full: Model) -> list[Component]:
-    """What passes and is random in time: the bias and the scale factor, and noise."""
-    stays = {p.name for p in full.parts}
-    return [c for n, c in full.components.items() if n not in stays and PASSING.get(n) != EACH_RATE]
-
-
-def fit_anyhow(model: Model) -> Fitted:
-    """The best of three fits: from equal shares, from what passes, and from what stays.
-
-    A scale factor that wanders and one that remembers the temperature follow each other, and whichever came first stays.
-    """
-    staying = {p.name: _LOW_START for p in model.parts if p.block != "surface"}
-    passing = {n: _LOW_START for n, b in PASSING.items() if b != EACH_RATE}
-    return min((fit_model(model, start) for start in (None, staying, passing)), key=lambda f: f.nll)
-
-
-def alive(fitted: Fitted) -> Fitted:
-    """The same less what has died."""
-    return Fitted(fitted.model.alive(fitted.fit), fitted.fit, fitted.contrasts)
 
 
 def block_curve(fitted: Fitted, solution: Solution, block: str, basis: Basis | None = None) -> Floats:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.engine import series_of
-from gyrocal.diagnosis.examine import fit_anyhow
 from gyrocal.diagnosis.laws.estimates import of_pattern
 from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.starts import fit_anyhow
 from gyrocal.diagnosis.model.within import Pattern, patterns
 from gyrocal.diagnosis.names import between
 from gyrocal.diagnosis.names.between import between_sets

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.examine import alive, fit_anyhow
 from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
 from gyrocal.diagnosis.laws.contest import Winner, best_law
 from gyrocal.diagnosis.laws.in_place import beyond_chance
 from gyrocal.diagnosis.model.blocks import evidence
 from gyrocal.diagnosis.model.layers import Law, full_model, surface_of
+from gyrocal.diagnosis.model.starts import alive, fit_anyhow
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable

@@ -11,9 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer.correction import correction
-from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.model.edges import targets, told, with_edges
 from gyrocal.diagnosis.model.layers import full_model
+from gyrocal.diagnosis.model.starts import fit_anyhow
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.fusion.compensation import Compensator

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.examine import examine, fit_anyhow, wandering
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws import jumps
 from gyrocal.diagnosis.laws.at_rows import GAIN, laws_of
 from gyrocal.diagnosis.laws.jumps import Jump, with_jumps
 from gyrocal.diagnosis.model.layers import full_model, surface_of
+from gyrocal.diagnosis.model.starts import fit_anyhow, wandering
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable

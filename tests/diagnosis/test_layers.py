@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from gyrocal.diagnosis.answer.correction import correction
 from gyrocal.diagnosis.engine import diagnose, series_of
-from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws.at_rows import laws_of
 from gyrocal.diagnosis.model.blocks import around_itself, settle_direction
 from gyrocal.diagnosis.model.layers import Law, beyond_input, fit_model, full_model, surface_of
 from gyrocal.diagnosis.model.parts import SURFACE, legendre_to_powers, polynomials, staying
+from gyrocal.diagnosis.model.starts import fit_anyhow
 from gyrocal.diagnosis.model.within import patterns
 from gyrocal.diagnosis.names.naming import _at_rest
 from gyrocal.diagnosis.remarks import Remark, Said

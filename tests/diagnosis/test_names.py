@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.engine import Options, diagnose, series_of
-from gyrocal.diagnosis.examine import examine, fit_anyhow
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
 from gyrocal.diagnosis.laws.contest import ALIKE_NATS, best_law
 from gyrocal.diagnosis.laws.estimates import of_law
@@ -20,6 +20,7 @@ from gyrocal.diagnosis.model import blocks
 from gyrocal.diagnosis.model.blocks import REPLACED, less
 from gyrocal.diagnosis.model.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.model.parts import BLOCKS, EACH_RATE, ODD
+from gyrocal.diagnosis.model.starts import fit_anyhow
 from gyrocal.diagnosis.names.naming import Naming, _least_worth, _mechanisms, may_lose, still_there
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.examine import fit_anyhow
 from gyrocal.diagnosis.model.layers import Fitted, Model, full_model, surface_of
 from gyrocal.diagnosis.model.parts import EACH_RATE
 from gyrocal.diagnosis.model.rate_errors import largest, toll, with_tails
+from gyrocal.diagnosis.model.starts import fit_anyhow
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.records.datasets import DataSetTable

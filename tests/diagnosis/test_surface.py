@@ -12,9 +12,10 @@ from gyrocal.calibration.choice import fit_chosen
 from gyrocal.calibration.datasets import load_recording
 from gyrocal.diagnosis.answer.surface import surface_alone
 from gyrocal.diagnosis.engine import Options, diagnose
-from gyrocal.diagnosis.examine import Examination, alive
+from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.laws.at_rows import laws_of
 from gyrocal.diagnosis.model.layers import fit_model, full_model
+from gyrocal.diagnosis.model.starts import alive
 from gyrocal.diagnosis.names.naming import Naming
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.series import series_of_run

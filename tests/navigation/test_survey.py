@@ -158,7 +158,10 @@ def test_one_speed_may_be_zero_on_the_spot() -> None:
 def test_a_vehicle_without_a_filter_leaves_nothing_to_it() -> None:
     parked = robot().with_figures({"static_s": 0.0})
     notes = replay_log(source(_vehicle()), parked).notes
-    assert any(n.endswith("no static bias was taken; nothing but a rest on the way takes its error off") for n in notes)
+    assert any(
+        n.endswith("no static bias was taken; nothing but a rest on the way takes its error off")
+        for n in notes
+    )
     assert not any("left to the filter" in n for n in notes)
 
 
