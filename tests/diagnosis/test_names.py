@@ -21,12 +21,20 @@ from gyrocal.diagnosis.model.blocks import REPLACED, less
 from gyrocal.diagnosis.model.layers import Fitted, Law, full_model, surface_of
 from gyrocal.diagnosis.model.parts import BLOCKS, EACH_RATE, ODD
 from gyrocal.diagnosis.model.starts import fit_anyhow
-from gyrocal.diagnosis.names.naming import Naming, _least_worth, _mechanisms, may_lose, still_there
+from gyrocal.diagnosis.names.naming import (
+    Naming,
+    _at_one_size,
+    _least_worth,
+    _mechanisms,
+    may_lose,
+    still_there,
+)
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.diagnosis.sweeps.coil import TOLL_NATS
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.conditions import Conditions
+from gyrocal.physics.surface import Surface
 from gyrocal.records.datasets import DataSetTable
 from gyrocal.trial.made_up import make_up
 
@@ -258,6 +266,20 @@ def test_the_file_of_a_table_has_the_law_where_the_law_says_more_than_smooth_par
 def test_an_error_of_each_rate_has_no_law_that_would_be_in_no_file() -> None:
     assert all(effect.runtime for effect in effects_of("each rate"))
     assert any(not effect.runtime for block in BLOCKS for effect in effects_of(block))
+
+
+@pytest.mark.parametrize(("width_dps", "at_one"), [(0.2, True), (6.0, False)])
+def test_a_peak_that_one_size_of_rate_shows_alone_is_no_peak(width_dps: float, at_one: bool) -> None:
+    """A real table had one at 3 deg/s for what its readings at 3.6 deg/s, either way, were off by."""
+    rate = np.tile(np.arange(-36.0, 37.0, 3.6), 4)
+    times: NDArray[np.float64] = 30.0 * np.arange(rate.size, dtype=np.float64)
+    table = DataSetTable(Path("t.csv"), rate, rate.copy(), np.full(rate.size, 20.0), t_s=times)
+    means = means_of(series_of_table(table))
+    shape = {"center_dps": 3.5, "width_dps": width_dps, "form": 1.0, "scatter": 0.0, "seed": 0.0}
+    laws = laws_of(means, Surface(np.zeros((4, 3)), 0.0, 36.0, 20.0, 1.0))
+    peak = Law("mechanical_resonance", shape, laws.at(CATALOGUE["mechanical_resonance"], shape))
+    assert _at_one_size(peak, means) == at_one
+    assert not _at_one_size(replace(peak, effect="rate_order"), means)
 
 
 def test_a_ripple_over_temperature_is_of_a_higher_order_that_it_hardly_resembles() -> None:

@@ -460,7 +460,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
         if tells_of_scale(means):
             found.append(Component("scale line", (ahead * u)[:, None]))
         found.append(Component("scale walk", covariance=walk * np.outer(u, u)))
-        each = _by_size(means, u)
+        each = by_size(means, u)
         if 3 < each.shape[1] < _MOST_RATES:
             found.append(Component(EACH_RATE, each))
         found.append(Component("jitter", covariance=np.diag(u**2)))
@@ -469,10 +469,10 @@ def passing(means: Means, frame: Frame) -> list[Component]:
 
 def of_each_direction(means: Means, frame: Frame) -> Component:
     """What errors of each rate, which are odd in the rate, have of their own in each direction."""
-    return Component("each direction", _by_size(means, np.abs(means.felt_dps) / frame.rate_scale_dps))
+    return Component("each direction", by_size(means, np.abs(means.felt_dps) / frame.rate_scale_dps))
 
 
-def _by_size(means: Means, values: Floats) -> Floats:
+def by_size(means: Means, values: Floats) -> Floats:
     """Values at each size of rate by itself, shape (n, sizes)."""
     sizes = np.round(np.abs(means.rate_dps) / _SAME_RATE_DPS)
     return np.where(sizes[:, None] == np.unique(sizes[sizes > 0]), values[:, None], 0.0)

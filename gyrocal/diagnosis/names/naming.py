@@ -31,8 +31,9 @@ from gyrocal.diagnosis.model.blocks import (
     settle_direction,
 )
 from gyrocal.diagnosis.model.layers import Fitted, Law
-from gyrocal.diagnosis.model.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD, PASSING, SINCE_ON
+from gyrocal.diagnosis.model.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD, PASSING, SINCE_ON, by_size
 from gyrocal.diagnosis.names.rivals import or_lasting, or_passing, paid_by
+from gyrocal.diagnosis.rows.means import Means
 from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
@@ -41,6 +42,8 @@ from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
 #: A law that takes most of a block's evidence names it, lack of fit and all. On the same recordings right ones took 0.69 and
 #: more, and none was refused; on 136 others an asymmetry with a soft knee took 0.57.
 _NAMED_SHARE = 0.5
+#: A peak of which one size of rate, either way, shows more than this is known from that alone.
+_SEEN_AT_ONE = 0.95
 #: A walk follows a drift nearly as well as the drift itself does: it has to be this much worse, nats. Of 100 data sets
 #: at rest walks of 2.5 and of 6 times the noise were called a drift in 2 of 100 (1 to 7 %; 8 without this bound), drifts of
 #: d' 12 in 19 of 24, none of which the bound had refused.
@@ -321,6 +324,8 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     alone = simplest(fitted, without, block, laws, worth)
     # Of what says less than any law has to, none takes a share.
     unnamed = _Answer(fitted, [], alone.near if worth >= GAIN else {}, fitted.nll)
+    if any(_at_one_size(n.law, laws.means) for n in alone.named):
+        return unnamed
     if not alone.named:
         return replace(unnamed, named=_resembling(alone.nearest, without, block, worth))
     if block == EACH_RATE and alone.fitted.nll > whole_nll:
@@ -345,6 +350,15 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     # A walk follows a line without being one: each law must say more than the walk does.
     says_more = fitted.nll - beside.nll > GAIN * len(named)
     return _Answer(beside, named, alone.near, beside.nll) if says_more else unnamed
+
+
+def _at_one_size(law: Law, means: Means) -> bool:
+    """Whether a peak over the rate was seen at one size of it alone, where it is no shape but a reading."""
+    if not CATALOGUE[law.effect].search.scatters:
+        return False
+    seen = np.sum(law.columns**2, axis=1)
+    at_each = np.sum(by_size(means, np.sqrt(seen)) ** 2, axis=0)
+    return bool(np.max(at_each, initial=0.0) > _SEEN_AT_ONE * np.sum(seen))
 
 
 def _resembling(nearest: Winner | None, without: Fitted, block: str, worth: float) -> list[Named]:
