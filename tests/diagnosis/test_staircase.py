@@ -136,7 +136,12 @@ def test_named_effects_that_are_no_step_are_told_with_the_reason(stepped: Diagno
     own = stepped.effects[0]
     within = replace(own, effect="table_eccentricity", family="angle, with rate")
     ringing = replace(own, effect="step_response", family="step")
-    stray = replace(own, effect="bursts", family="sampling", seen=Remark(Said.BURST_SAMPLES, {}))
+    stray = replace(
+        own,
+        effect="bursts",
+        family="sampling",
+        seen=Remark(Said.BURST_SAMPLES, {"count": 5, "samples": 3000}),
+    )
     held = replace(own, effect="warm_up", family="time")
     more = replace(stepped, effects=(own, within, ringing, stray, held))
     assert not_a_step(more) == (
@@ -151,6 +156,7 @@ def test_named_effects_that_are_no_step_are_told_with_the_reason(stepped: Diagno
     assert not_a_step(more) in captions[0]
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_said_in_numbers(stepped: Diagnosis) -> None:
     part = UnnamedPart(
         "rate", "rate shape", 35.2, 0.012, 93.6, 100.8, "deg/s", {"saturation": 12.0}, corrected=True
