@@ -209,17 +209,15 @@ def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
     sets = np.concatenate([means.is_set[rows] for rows in folds])
     sets = sets if sets.any() else ~sets
     rng = np.random.default_rng([seed, 7])
-    surface = fitted.model
+    down = [fitted.model]
     for step in reversed(steps):
-        surface = step.less(surface)
+        down.append(step.less(down[-1]))
+    surface = down[-1]
     passing = surface.components.keys() - {part.name for part in surface.parts}
-    whole = leave_out(fitted, fitted.model, folds, passing)
+    on_the_way = [leave_out(fitted, model, folds, passing) for model in down]
+    whole = on_the_way[0]
     # What noise alone moves this much is extrapolated from what is left: no model is judged by it.
     sure = sets & (whole.variance < _EXTRAPOLATED**2 * np.median(whole.variance[sets]))
-    on_the_way, model = [whole], fitted.model
-    for step in reversed(steps):
-        model = step.less(model)
-        on_the_way.append(leave_out(fitted, model, folds, passing))
     names = ["", *(step.name for step in steps)]
     layers = [_layer(n, f, sure) for n, f in zip(names, reversed(on_the_way), strict=True)]
     each = {}
