@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
+from gyrocal.inference.runs import runs_of
 from gyrocal.units import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -100,7 +101,7 @@ def white_at_rest(rate: Floats, resting: NDArray[np.bool_], dt_s: Floats) -> flo
     step_s = float(np.median(dt_s[1:]))
     every = max(1, round(_REST_MEAN_S / max(step_s, 1e-6)))
     rows, squares = np.flatnonzero(resting), []
-    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+    for run in runs_of(rows):
         count = run.size // every
         if count >= 3:
             means = rate[run[: count * every]].reshape(count, every).mean(axis=1)

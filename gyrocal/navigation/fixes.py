@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.inference.runs import runs_of
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -94,8 +96,10 @@ def _frozen_said(frozen: Bools, t_s: Floats, way_m: Floats) -> tuple[str, ...]:
     if not frozen.any():
         return ()
     rows = np.flatnonzero(frozen)
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    each = [f"{t_s[r[0] - 1]:.0f} to {t_s[r[-1]]:.0f} ({way_m[r[-1]] - way_m[r[0] - 1]:.3g} m)" for r in runs]
+    each = [
+        f"{t_s[r[0] - 1]:.0f} to {t_s[r[-1]]:.0f} ({way_m[r[-1]] - way_m[r[0] - 1]:.3g} m)"
+        for r in runs_of(rows)
+    ]
     return (
         f"{rows.size} of the truth's rows are left out: its position stands still to the last digit while the wheels go on, from t_s = {', '.join(each)}",
     )

@@ -12,13 +12,13 @@ from gyrocal.diagnosis.drive.laws import AT_ONCE, SETTLING, Law
 from gyrocal.diagnosis.drive.levels import STRANGER_P
 from gyrocal.diagnosis.drive.path_strangers import ONE_SIZE
 from gyrocal.diagnosis.drive.prior import known_before
-from gyrocal.diagnosis.drive.rests import runs_of
 from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import DriveSeries
 from gyrocal.diagnosis.drive.sides import uneven_gyro
 from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Located, NamedEffect
+from gyrocal.inference.runs import runs_of
 from gyrocal.physics.drive import DRIVE_CATALOGUE, ROBOT_TILT
 from gyrocal.units import NORMAL_95, RAD_TO_DEG
 

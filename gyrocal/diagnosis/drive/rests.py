@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.static_bias import static_bias
+from gyrocal.inference.runs import runs_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -83,11 +84,6 @@ def refused_rest(t_s: Floats, left_m: Floats, right_m: Floats, gyro_dps: Floats,
     except DataError as error:
         return str(error)
     return ""
-
-
-def runs_of(rows: Ints) -> list[Ints]:
-    """Numbers in rising order, split where one is left out."""
-    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
 
 
 def _standing(t_s: Floats, step_m: Floats, gyro_dps: Floats, moving: Bools) -> Bools:

@@ -10,10 +10,11 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.signal import lfilter
 
-from gyrocal.diagnosis.drive.rests import moving_rows, refused_rest, runs_of, still_rows
+from gyrocal.diagnosis.drive.rests import moving_rows, refused_rest, still_rows
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.inference.runs import runs_of
 from gyrocal.navigation.channels import check_cells, check_speed
 from gyrocal.navigation.fixes import no_fixes
 from gyrocal.navigation.lost_ways import GAP_STEPS, lost_ways
