@@ -673,3 +673,10 @@ def test_three_soaks_visited_once_tell_of_no_lag(seed: int) -> None:
     gyro_dps = rate_dps + error_dps + 0.03 * rng.standard_normal(15)
     table = DataSetTable(Path("soaks.csv"), rate_dps, gyro_dps, np.round(2.0 * temp_c) / 2.0, t_s=t_s)
     assert diagnose(table, options=Options(heldout=False)).effects == ()
+
+
+def test_a_sensor_behind_its_coil_pays_what_any_law_pays() -> None:
+    """A coil that is behind is what gyros have; a table that warms up hardly tells which of the two it is."""
+    search = table_search(full_model(_sweep().means, memory=False))
+    behind, ahead = search._toll((0.7, 238.0), ()), search._toll((-0.7, 238.0), ())
+    assert ahead - behind == pytest.approx(TOLL_NATS)

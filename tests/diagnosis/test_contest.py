@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
-from gyrocal.diagnosis.laws.contest import Winner, best_law
+from gyrocal.diagnosis.laws.contest import Winner, _evidence, _gain, _seen, best_law
 from gyrocal.diagnosis.laws.in_place import beyond_chance
 from gyrocal.diagnosis.model.blocks import evidence
 from gyrocal.diagnosis.model.layers import Law, full_model, surface_of
@@ -65,3 +66,19 @@ def test_what_as_many_parameters_take_of_any_curve_is_no_evidence_for_a_law() ->
     assert beyond_chance(1.0, [sine, knee], "odd rate", laws) == 0.0
     # What goes by the temperature or by time has more than some numbers to fit.
     assert beyond_chance(0.6, [sine], "memory", laws) == 0.6
+
+
+def test_the_evidence_of_many_pairs_at_once_is_that_of_each() -> None:
+    rng = np.random.default_rng(5)
+    columns, factor, y = rng.standard_normal((30, 6)), rng.standard_normal((30, 30)), rng.standard_normal(30)
+    p = np.asarray(np.linalg.inv(factor @ factor.T + np.eye(30)), dtype=np.float64)
+    pairs = np.array(list(combinations(range(6), 2)))
+    information, pull = _seen(columns, p @ y, p)
+    together = _evidence(information[pairs[:, :, None], pairs[:, None, :]], pull[pairs], 2.0)
+    each = [_gain(columns[:, pair], p @ y, p, 2.0) for pair in pairs]
+    assert together == pytest.approx(each, rel=1e-10)
+    # Of one covariance more: log N(y; 0, V + 2 x x') - log N(y; 0, V), V the inverse of p.
+    x = columns[:, pairs[0]] / np.sqrt(np.mean(columns[:, pairs[0]] ** 2, axis=0))
+    v = np.linalg.inv(p)
+    nlls = [0.5 * (y @ np.linalg.solve(c, y) + np.linalg.slogdet(c)[1]) for c in (v, v + 2.0 * x @ x.T)]
+    assert each[0] == pytest.approx(nlls[0] - nlls[1], abs=1e-8)

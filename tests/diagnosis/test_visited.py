@@ -11,15 +11,21 @@ import pytest
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
 from gyrocal.diagnosis.model.layers import full_model
-from gyrocal.diagnosis.model.parts import AT_FEW
+from gyrocal.diagnosis.model.parts import AT_FEW, remembering
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
-from gyrocal.diagnosis.rows.visited import shows_scale, steps_of_scale, temperatures_apart, visits_turned_at
+from gyrocal.diagnosis.rows.visited import (
+    steps_of_scale,
+    tells_of_branches,
+    temperatures_apart,
+    visits_tell,
+    visits_turned_at,
+)
 from gyrocal.fusion.compensation import Compensator
 from gyrocal.physics.smooth import Frame
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.thermal import TEMPERATURE_ORDER
+from gyrocal.physics.thermal import TEMPERATURE_ORDER, THERMAL_HYSTERESIS
 from gyrocal.records.datasets import DataSetTable
 
 _CUBIC_DPS, _NOISE_DPS = 0.02, 1e-3
@@ -52,7 +58,7 @@ def test_four_temperatures_tell_the_next_order_of_the_scale_factor_and_three_do_
 ) -> None:
     table, _ = at_temperatures(temps_c)
     assert visits_turned_at(table.rate_dps, table.temp_c) == len(temps_c)
-    assert not shows_scale(len(temps_c))
+    assert not visits_tell(len(temps_c))
     model = full_model(means_of(series_of_table(table)))
     assert any(p.block == AT_FEW for p in model.parts) == has
     assert effects_of(AT_FEW) == []
@@ -144,3 +150,17 @@ def test_an_order_of_the_temperature_needs_more_temperatures_than_it_is(
     means = means_of(series_of_table(DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c)))
     laws = laws_of(means, _SURFACE)
     assert {t.shape["order"] for t in laws.trials(TEMPERATURE_ORDER)} == orders
+
+
+@pytest.mark.parametrize(
+    ("temps_c", "told"),
+    [([8.0, -14.0, 53.0, 32.0], False), ([8.0, -14.0, 53.0, 32.0, -5.0], True)],
+)
+def test_four_visits_tell_of_no_branch(temps_c: list[float], told: bool) -> None:
+    """Through four temperatures a branch of the bias goes as a cubic does: one had made a file three times worse than the surface."""
+    means = means_of(series_of_table(at_temperatures(temps_c)[0]))
+    assert tells_of_branches(means) is told
+    plays = [c for p in remembering(means) for c in p.columns if c.driver.kind == "play"]
+    assert bool(plays) is told
+    blank = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)
+    assert bool(laws_of(means, blank).trials(THERMAL_HYSTERESIS)) is told

@@ -14,7 +14,12 @@ from gyrocal.diagnosis.model.parts import AT_FEW, BLOCKS, EACH_RATE, PAST_RATES,
 from gyrocal.diagnosis.rows.columns import conditions_of, offer_of
 from gyrocal.diagnosis.rows.means import Means
 from gyrocal.diagnosis.rows.series import Series
-from gyrocal.diagnosis.rows.visited import tells_of_scale, temperatures_apart, temperatures_turned
+from gyrocal.diagnosis.rows.visited import (
+    tells_of_branches,
+    tells_of_scale,
+    temperatures_apart,
+    temperatures_turned,
+)
 from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.conditions import Conditions
 from gyrocal.physics.effect import Effect
@@ -22,7 +27,7 @@ from gyrocal.physics.lacking import Reason
 from gyrocal.physics.offer import Offer
 from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.surface import Surface
-from gyrocal.physics.thermal import RATE_HEATING, TEMPERATURE_ORDER
+from gyrocal.physics.thermal import RATE_HEATING, TEMPERATURE_ORDER, THERMAL_HYSTERESIS
 from gyrocal.physics.timewise import BIAS_STEP
 
 Floats = NDArray[np.float64]
@@ -78,6 +83,8 @@ class Laws:
         if not wanted(effect) or effect.why_not(self.offer) is not None:
             return []
         if is_of_scale_in_time(effect) and not tells_of_scale(self.means):
+            return []
+        if effect is THERMAL_HYSTERESIS and not tells_of_branches(self.means):
             return []
         found = []
         for shape in effect.search.grid(self.offer):

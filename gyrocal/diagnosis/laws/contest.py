@@ -177,9 +177,10 @@ def best_pair(fitted: Fitted, current: Fitted, block: str, trials: Sequence[Tria
     model, logs = _without(fitted, current, block)
     score, p = fitted.contrasts.precision(model.all, logs)
     columns = fitted.contrasts.beyond(np.column_stack([t.columns for t in trials]))
-    pairs = list(combinations(range(len(trials)), 2))
-    gains = [_gain(columns[:, pair], score, p, model.law_variance) for pair in pairs]
-    first, second = (trials[k] for k in pairs[int(np.argmax(gains))])
+    pairs = np.array(list(combinations(range(len(trials)), 2)))
+    information, pull = _seen(columns, score, p)
+    of_pairs = information[pairs[:, :, None], pairs[:, None, :]], pull[pairs]
+    first, second = (trials[k] for k in pairs[int(np.argmax(_evidence(*of_pairs, model.law_variance)))])
     return _with(_with(current, first, logs), second, logs)
 
 
@@ -234,9 +235,18 @@ def _unlikely(trial: Trial, columns: Floats, score: Floats, p: Floats) -> float:
 
 def _gain(columns: Floats, score: Floats, p: Floats, variance: float) -> float:
     """Evidence of columns under fixed variances, with their wide prior, nats."""
+    return float(_evidence(*_seen(columns, score, p), variance))
+
+
+def _seen(columns: Floats, score: Floats, p: Floats) -> tuple[Floats, Floats]:
+    """Information on columns of unit size, shape (q, q), and how they are pulled, shape (q,)."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     x = columns / np.where(size > 0, size, 1.0)
-    information = x.T @ p @ x
-    b = x.T @ score
-    whole = np.eye(b.size) + variance * information
-    return float(0.5 * variance * b @ np.linalg.solve(whole, b) - 0.5 * np.linalg.slogdet(whole)[1])
+    return x.T @ p @ x, x.T @ score
+
+
+def _evidence(information: Floats, pull: Floats, variance: float) -> Floats:
+    """Evidence of sets of columns of unit size with their wide prior, shapes (..., q, q) and (..., q) to (...), nats."""
+    whole = np.eye(pull.shape[-1]) + variance * information
+    taken = np.linalg.solve(whole, pull[..., None])[..., 0]
+    return np.asarray(0.5 * variance * np.sum(pull * taken, axis=-1) - 0.5 * np.linalg.slogdet(whole)[1])

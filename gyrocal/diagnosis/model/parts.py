@@ -20,6 +20,7 @@ from gyrocal.diagnosis.rows.visited import (
     LEAST_SPAN_C,
     TEMP_BUMPS,
     apart,
+    tells_of_branches,
     tells_of_scale,
     temperatures_apart,
     temperatures_turned,
@@ -110,15 +111,9 @@ SURFACE = tuple(
 )
 #: Of these: cubic in the rate and linear in temperature for bias and scale factor are always free ...
 FLAT = (*(term(i, 0) for i in range(SHAPE[0])), term(0, 1), term(1, 1))
-#: ... and the others are expected to be small, with one variance.
-SHRUNK = {
-    term(0, 2): 1.0,
-    term(1, 2): 1.0,
-    term(2, 1): 0.5,
-    term(3, 1): 0.5,
-    term(2, 2): 0.25,
-    term(3, 2): 0.25,
-}
+#: ... and the others are expected to be small, with one variance, the bend of the bias less than what that of the scale factor
+#: does at the largest rate.
+SHRUNK = {term(0, 2): 0.3, term(1, 2): 1.0} | {term(i, j): 0.2 / j for j in (1, 2) for i in (2, 3)}
 
 
 @dataclass(frozen=True)
@@ -419,7 +414,8 @@ def remembering(means: Means) -> list[Part]:
     lags = [Factor("lag", (float(tau),)) for tau in _LAGS_S if tau < span_s]
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
     back_c = turned_back_c(means.series.history.temp_c)
-    plays = [Factor("play", (share * span_c,)) for share in _PLAYS if share * span_c <= back_c]
+    widths_c = [share * span_c for share in _PLAYS if share * span_c <= back_c]
+    plays = [Factor("play", (width_c,)) for width_c in widths_c if tells_of_branches(means)]
     slope, one = _legendre(1), Factor()
     found = [
         _part("lag on bias", MEMORY, tuple(Column(driver=d) for d in lags)),

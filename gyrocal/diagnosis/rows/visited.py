@@ -48,17 +48,22 @@ def _each_beyond(temp_c: Floats, apart_c: float) -> Ints:
     return np.array(visits, dtype=np.int64)
 
 
-def shows_scale(visits: int) -> bool:
-    """Whether so many visits to a temperature tell what changes the scale factor beyond the surface: one, or five and more.
+def visits_tell(visits: int) -> bool:
+    """Whether so many visits to a temperature tell what changes bias or scale factor beyond the surface: one, or five and more.
 
-    Of four in turn the surface takes three numbers, and the last is as well a step as a lag or an order.
+    Of four in turn the surface takes three numbers, and the last is as well a step as a lag, a branch or an order.
     """
     return visits == 1 or visits >= SHAPE[1] + 2
 
 
 def tells_of_scale(means: Means) -> bool:
-    """The same of a record."""
-    return shows_scale(visits_turned_at(means.rate_dps, means.temp_c))
+    """Whether the visits of a record in which it turned tell what changes the scale factor."""
+    return visits_tell(visits_turned_at(means.rate_dps, means.temp_c))
+
+
+def tells_of_branches(means: Means) -> bool:
+    """Whether the visits of a record tell what the bias remembers of where the temperature turned back."""
+    return visits_tell(int(np.unique(_visits(means.temp_c, means.temp_c)).size))
 
 
 def steps_of_scale(means: Means, fewest: int) -> Ints:

@@ -466,7 +466,7 @@ class TableSearch:
     def _toll(self, coil: Coil, changes: tuple[Change, ...]) -> float:
         """What the laws of a model pay, nats: for their priors, too, as a coil's time constant does.
 
-        A coil behind its sensor is what gyros have: it pays for its shapes, and no toll.
+        A coil behind its sensor is what gyros have: it pays for its shapes, and no toll, as a sensor behind its coil does.
         """
         shapes = [len(_FIRST_SHARES) * len(_FIRST_LAGS_S)] if coil else []
         # What stands beside another law has the shape of that.
@@ -476,6 +476,7 @@ class TableSearch:
         paid -= sum(change.prior_nats for change in changes)
         paid += TOLL_NATS * len(changes) + 0.5 * float(np.sum(np.log(shapes)))
         paid += _FIRST_NATS if coil or changes else 0.0
+        paid += TOLL_NATS if coil and coil[0] < 0.0 else 0.0
         return paid if coil is None else paid - THERMAL_LAG.search.nats_before({"tau_s": coil[1]})
 
 
