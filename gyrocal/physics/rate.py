@@ -49,6 +49,7 @@ from gyrocal.physics.rate_shapes import (
     phases,
     rate_or_output,
     resonances,
+    sides,
 )
 from gyrocal.physics.search import Search
 from gyrocal.physics.surface import Surface
@@ -64,7 +65,13 @@ _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 
 def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
-    return np.asarray(PPM * p["amplitude"] * np.maximum(c.rate_dps, 0.0))
+    soft = p["softness_dps"]
+    if soft > 0:
+        # log((1 + exp(x)) / 2): nothing is added at rest
+        one_way = soft * (np.logaddexp(0.0, c.rate_dps / soft) - np.log(2.0))
+    else:
+        one_way = np.maximum(c.rate_dps, 0.0)
+    return np.asarray(PPM * p["amplitude"] * one_way)
 
 
 def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -166,7 +173,13 @@ def _draw_order(usual: Mapping[str, float], offer: Offer, rng: np.random.Generat
 
 
 def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
-    return f"(w > 0 ? {n(PPM * p['amplitude'])} * w : 0)"
+    k, soft = PPM * p["amplitude"], p["softness_dps"]
+    if soft > 0:
+        # log(1 + exp(x)) from the side where exp cannot overflow
+        x = f"(w / {n(soft)})"
+        one_way = f"(fmax@f@({x}, 0) + log1p@f@(exp@f@(-fabs@f@({x}))) - {n(np.log(2.0))})"
+        return f"{n(k * soft)} * {one_way}"
+    return f"(w > 0 ? {n(k)} * w : 0)"
 
 
 def _dead_zone_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
@@ -237,16 +250,26 @@ static inline @real@ PREFIX_direction@f@(@real@ w, @real@ temp_c)
 SCALE_ASYMMETRY = Effect(
     id="scale_asymmetry",
     family="rate shape",
-    equation="e = k w for w > 0, 0 otherwise",
+    equation="e = k s (log(1 + exp(w/s)) - log 2); s = 0: k w for w > 0, 0 otherwise",
     statement="The scale factor differs between turning left and turning right.",
-    parameters=(amplitude("ppm", 50000.0, 200.0, "scale factor to the left minus to the right"),),
+    parameters=(
+        amplitude("ppm", 50000.0, 200.0, "scale factor to the left minus to the right"),
+        shape("softness_dps", "deg/s", 0.0, 1000.0, 0.0, "width s over which it changes; 0: at once"),
+    ),
     needs=("rate_dps",),
     seen_in="rate",
     looks_like=("dead_zone",),
     reference="IEEE Std 952, scale factor asymmetry",
     runtime=True,
     error_dps=memoryless(_asymmetry),
-    search=Search(requires=(many_rates, sizes_for_even, both_ways)),
+    search=Search(
+        grid=sides,
+        refined=("softness_dps",),
+        bounded=("softness_dps",),
+        # How softly a gyro changes sides no mechanism says: an order of the rate starts as low.
+        rare={"softness_dps": 3.0},
+        requires=(many_rates, sizes_for_even, both_ways),
+    ),
     c_text=CText(_asymmetry_c),
 )
 

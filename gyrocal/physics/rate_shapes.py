@@ -65,6 +65,15 @@ def knees(offer: Offer) -> list[dict[str, float]]:
     ]
 
 
+def sides(offer: Offer) -> list[dict[str, float]]:
+    """A scale factor that changes with the sign of the rate at once, or over a part of the range.
+
+    Over more than an eighth of it the change is an even order of the rate.
+    """
+    full = offer.largest_rate_dps
+    return [{"softness_dps": soft * full} for soft in (0.0, 0.03, 0.06, 0.125)]
+
+
 def orders(offer: Offer) -> list[dict[str, float]]:
     """Single orders above the cubic, and pairs: the fifth beside the fourth, and two even or odd ones, as of a polynomial of either kind."""
     scale = {"scale_dps": offer.largest_rate_dps or 1.0}

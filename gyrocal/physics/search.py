@@ -75,6 +75,8 @@ class Search:
         What is regressed on at a shape.
     refined : tuple of str
         Parameters of shape that are refined between the points of the grid; the others are what the grid says.
+    bounded : tuple of str
+        Of these, those that stay within what the grid spans: beyond it the law becomes another.
     requires : tuple of Requirement
         Needs beyond the channels and the coordinate in which the effect is seen.
     twin_of : str
@@ -87,6 +89,8 @@ class Search:
         Evidence it starts with. What claims no mechanism starts below a law.
     usual : mapping
         Parameter of its shape to the ends between which 95 % of what is built lie; its logarithm is taken for normal.
+    rare : mapping
+        Parameter of its shape to the evidence, nats, that it loses where that is not zero.
     natural : tuple of float, optional
         The amplitude that physics leads one to expect, and the standard deviation of its logarithm about that: without it
         a shape that does next to nothing beyond the surface may have any amplitude.
@@ -109,12 +113,14 @@ class Search:
     grid: Grid = no_shape
     columns: Columns = one_column
     refined: tuple[str, ...] = ()
+    bounded: tuple[str, ...] = ()
     requires: tuple[Requirement, ...] = ()
     twin_of: str = ""
     limit_of: str = ""
     told_apart: Mapping[str, str] = field(default_factory=dict)
     prior_nats: float = 0.0
     usual: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rare: Mapping[str, float] = field(default_factory=dict)
     natural: tuple[float, float] | None = None
     one_sign: Callable[[Shape], bool] = of_either_sign
     draws: bool = False
@@ -131,4 +137,5 @@ class Search:
             low, high = np.log(ends)
             off = (np.log(given[name]) - 0.5 * (low + high)) / ((high - low) / (2.0 * NORMAL_95))
             lost += 0.5 * float(off**2)
+        lost += sum(nats for name, nats in self.rare.items() if given.get(name, 0.0) != 0.0)
         return self.prior_nats - lost

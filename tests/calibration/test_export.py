@@ -190,6 +190,7 @@ SETS = {effect_id: (typical_term(effect_id),) for effect_id in RUNTIME} | {
     "two lags": tuple(map(typical_term, ("thermal_lag", "shupe", "scale_asymmetry"))),
     "no state": tuple(map(typical_term, ("sagnac_sine", "temperature_order"))),
     "soft knee": (typical_term("saturation", knee_dps=60.0, softness_dps=2.5),),
+    "soft sides": (typical_term("scale_asymmetry", softness_dps=8.0),),
     "cut by the sign of the output": (typical_term("truncation", of_output=1.0),),
     "peak without tails": (typical_term("mechanical_resonance", form=1.0),),
     "cut away from zero": (typical_term("truncation", amplitude=-40.0),),

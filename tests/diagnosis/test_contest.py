@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from gyrocal.diagnosis.laws.at_rows import effects_of, laws_of
-from gyrocal.diagnosis.laws.contest import Winner, _evidence, _gain, _seen, best_law
+from gyrocal.diagnosis.laws.contest import Winner, _evidence, _gain, _seen, becomes_another, best_law
 from gyrocal.diagnosis.laws.in_place import beyond_chance
 from gyrocal.diagnosis.model.blocks import evidence
 from gyrocal.diagnosis.model.layers import Law, full_model, surface_of
 from gyrocal.diagnosis.model.starts import alive, fit_anyhow
 from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
+from gyrocal.physics.catalogue import find_effect
 from gyrocal.records.datasets import DataSetTable
 
 
@@ -82,3 +83,22 @@ def test_the_evidence_of_many_pairs_at_once_is_that_of_each() -> None:
     v = np.linalg.inv(p)
     nlls = [0.5 * (y @ np.linalg.solve(c, y) + np.linalg.slogdet(c)[1]) for c in (v, v + 2.0 * x @ x.T)]
     assert each[0] == pytest.approx(nlls[0] - nlls[1], abs=1e-8)
+
+
+def test_an_even_order_of_the_rate_is_no_corner_between_two_sides() -> None:
+    """The softer a corner, the more it is like a fourth order, which had its name on open loops of a third of a radian."""
+    rng = np.random.default_rng(8)
+    rate = np.tile(np.linspace(-100.0, 100.0, 21), 8)
+    temp = np.repeat(25.0 + 10.0 * np.sin(np.arange(8.0)), 21)
+    gyro = rate + 0.02 * (rate / 100.0) ** 4 + 1e-3 * rng.standard_normal(rate.size)
+    table = DataSetTable(Path("fourth.csv"), rate, gyro, temp, t_s=60.0 * np.arange(float(rate.size)))
+    model = full_model(means_of(series_of_table(table)), memory=False)
+    fitted = fit_anyhow(model)
+    laws = laws_of(model.means, surface_of(fitted.model, fitted.solve()))
+    without = fitted.refit(fitted.model.without(fitted.model.of_block("even rate")))
+    found = best_law(fitted, without, "even rate", laws.of_one_amplitude("even rate"), laws)
+    assert found is not None
+    assert found.effect.id == "rate_order"
+    asymmetry = find_effect("scale_asymmetry")
+    ends = [becomes_another(asymmetry, {"softness_dps": x}, laws) for x in (0.0, 12.0, 12.5)]
+    assert ends == [False, False, True]

@@ -253,7 +253,7 @@ def test_document_is_plain_json(asymmetric: tuple[DataSetTable, Diagnosis]) -> N
     assert body["schema"] == "gyrocal-diagnosis/1"
     assert body["verdict"] in get_args(Verdict)
     assert set(body["located"][0]) >= {"coordinate", "statistic", "from", "to", "unit", "target", "region"}
-    assert body["effects"][0]["equation"] == "e = k w for w > 0, 0 otherwise"
+    assert body["effects"][0]["equation"].endswith("s = 0: k w for w > 0, 0 otherwise")
     assert set(body["effects"][0]["improvement"]) >= {
         "heldout_rms_before_dps",
         "heldout_rms_after_dps",

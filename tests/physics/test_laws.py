@@ -145,6 +145,10 @@ def test_laws_by_hand() -> None:
     )
     rates = [-100.0, 0.0, 0.005, 100.0]
     np.testing.assert_allclose(error("scale_asymmetry", at(rates), amplitude=200.0), [0, 0, 1e-6, 0.02])
+    # However soft, what turning one way adds to the other is the whole of it, and at rest nothing is added.
+    left, rest, right = error("scale_asymmetry", at([50.0, 0.0, -50.0]), amplitude=200.0, softness_dps=8.0)
+    np.testing.assert_allclose([left - right, rest], [0.01, 0.0], atol=1e-15)
+    np.testing.assert_allclose(right, -2e-4 * 8.0 * np.log(2.0), rtol=3e-3)
     np.testing.assert_allclose(error("dead_zone", at(rates), amplitude=2.8), [0, -2.8e-3, -2.8e-3, 0])
     np.testing.assert_allclose(
         error("dead_zone", at([-0.005, 0.0, 0.02]), amplitude=10.0, form=1.0), [5e-3, 0, 0], atol=1e-12

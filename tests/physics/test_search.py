@@ -224,3 +224,9 @@ def test_a_hysteresis_needs_heating_and_cooling() -> None:
     part = replace(WHOLE, temp_back_c=8.0)
     widths = [shape["width_c"] for shape in CATALOGUE["thermal_hysteresis"].search.grid(part)]
     assert 4.0 < max(widths) <= 8.0
+
+
+def test_a_corner_that_is_soft_starts_as_low_as_an_order_of_the_rate() -> None:
+    sides, orders = find_effect("scale_asymmetry").search, find_effect("rate_order").search
+    assert sides.nats_before({"softness_dps": 0.0}) == 0.0
+    assert sides.nats_before({"softness_dps": 5.0}) == orders.nats_before({"order": 4.0, "scale_dps": 100.0})

@@ -119,6 +119,12 @@ def mechanism(effect: Effect) -> str:
     return effect.search.limit_of or effect.id
 
 
+def becomes_another(effect: Effect, shape: Mapping[str, float], laws: Laws) -> bool:
+    """Whether a law is at the end of its shapes, beyond which it becomes another."""
+    grid = effect.search.grid(laws.offer)
+    return any(shape[n] >= max(s[n] for s in grid) for n in effect.search.bounded)
+
+
 @dataclass(frozen=True)
 class _Refit:
     """A law that was fitted beside others: what it loses, with what is known of its shape and how many it has, nats."""
@@ -157,7 +163,10 @@ def _refitted(
 
     refits = []
     for _, trial in top:
-        found, effect = _with(current, _refined(trial, laws, gain_of), logs), trial.effect
+        refined_trial, effect = _refined(trial, laws, gain_of), trial.effect
+        if becomes_another(effect, refined_trial.shape, laws):
+            continue
+        found = _with(current, refined_trial, logs)
         refits.append(_Refit(effect, found, loss(found, effect), shapes[effect.id]))
     return sorted(refits, key=lambda r: r.loss)
 

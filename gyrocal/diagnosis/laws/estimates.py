@@ -261,8 +261,9 @@ def _modes(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> lis
 def _starts(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> list[dict[str, float]]:
     """The best shapes of the grid, one for each value of the first parameter; of one parameter those that are better than those next to them."""
     best: dict[float, tuple[float, dict[str, float]]] = {}
-    # Of a law that has several forms the grid may have others.
-    grid = [at for at in beside.effect.search.grid(beside.laws.offer) if free and at.keys() >= {*free}]
+    # Of a law that has several forms the grid may have others, and those without a corner's softness.
+    whole = beside.effect.search.grid(beside.laws.offer)
+    grid = [at for at in whole if free and at.keys() >= {*free} and all(at[n] > 0.0 for n in free)]
     for at in grid:
         tried = {**shape, **{n: at[n] for n in free}}
         loss = beside.at(tried).loss
@@ -304,8 +305,10 @@ def _loss(beside: Scan, shape: Mapping[str, float], name: str, value: float) -> 
 
 
 def _limits(beside: Scan, name: str) -> tuple[float, float]:
-    known = beside.effect.parameter(name)
-    return known.low, known.high
+    known, search = beside.effect.parameter(name), beside.effect.search
+    if name not in search.bounded:
+        return known.low, known.high
+    return known.low, max(shape[name] for shape in search.grid(beside.laws.offer))
 
 
 def _jointly(

@@ -20,6 +20,7 @@ from gyrocal.diagnosis.laws.contest import (
 )
 from gyrocal.diagnosis.laws.estimates import reshaped
 from gyrocal.diagnosis.laws.misfit import with_misfit
+from gyrocal.diagnosis.laws.scan import free_of
 from gyrocal.diagnosis.model.blocks import BENT, REPLACED
 from gyrocal.diagnosis.model.layers import Fitted, Law
 from gyrocal.diagnosis.model.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD
@@ -225,7 +226,7 @@ def _left_to_check(several: Sequence[Law], block: str, laws: Laws) -> float:
         return 1.0
     odd, even = laws.offer.left_by_cubic
     numbers = odd if block in (ODD, EACH_RATE) else even
-    shapes = sum(n in law.shape for law in several for n in CATALOGUE[law.effect].search.refined)
+    shapes = sum(len(free_of(law)) for law in several)
     free = numbers - shapes - sum(law.columns.shape[1] for law in several)
     return free / numbers if free > 0 else 0.0
 
