@@ -20,6 +20,14 @@ def _stray_sets(sets: Sequence[int]) -> str:
     )
 
 
+def _few_temperatures(*, count: int, branches: bool) -> str:
+    nor = "" if branches else ", nor has a hysteresis of the bias"
+    return (
+        f"it turned in {count} visits to a temperature, one after the other: what changes the scale factor over temperature or time "
+        f"beyond the surface has no name here{nor}; turn at five or more, up and down"
+    )
+
+
 def _edge(*, of_scale: bool, **facts: float) -> str:
     """Size in ppm or mdeg/s, center and width in degC, each with its interval."""
     what, unit, digits = ("scale factor", "ppm", 0) if of_scale else ("bias", "mdeg/s", 2)
@@ -215,8 +223,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
         f"the temperature {'rose' if rose else 'fell'} all along: what time alone did to bias or scale factor stands in the surface as "
         "if it were the temperature's, and in no stated uncertainty; heat and cool more than once"
     ),
-    Said.FEW_TEMPERATURES: "it turned in {count} visits to a temperature, one after the other: what changes the scale factor over temperature or time beyond the surface "
-    "has no name here; turn at five or more, up and down",
+    Said.FEW_TEMPERATURES: _few_temperatures,
     Said.SMOOTHED: "temp_c scatters by {rms_c:.2g} degC rms about a smooth course, which stands in its place: the output does not show that it follows the scatter",
     Said.NOMINAL_RATES: "rate_dps scatters by {rms_dps:.2g} deg/s rms about {rates} rates, which stand in its place: the output {does} the scatter",
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "

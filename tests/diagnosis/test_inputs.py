@@ -302,6 +302,8 @@ def test_what_a_few_temperatures_cannot_tell_is_said(temps_c: tuple[float, ...],
     rate_dps, temp_c = np.tile(rates, len(temps_c)), np.repeat(temps_c, rates.size)
     gyro_dps = rate_dps + 1e-3 * np.random.default_rng(1).standard_normal(rate_dps.size)
     notes = check_inputs(series_of_table(DataSetTable(Path("t.csv"), rate_dps, gyro_dps, temp_c)), None)
-    few = Remark(Said.FEW_TEMPERATURES, {"count": 4})
+    few = Remark(Said.FEW_TEMPERATURES, {"count": 4, "branches": False})
     assert (few in notes) is said
-    assert "five or more" in remark_words(few)
+    assert "nor has a hysteresis of the bias; turn at five or more" in remark_words(few)
+    rested = Remark(Said.FEW_TEMPERATURES, {"count": 4, "branches": True})
+    assert "has no name here; turn at five or more" in remark_words(rested)

@@ -11,7 +11,7 @@ from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.order import one_way
 from gyrocal.diagnosis.rows.series import Series
 from gyrocal.diagnosis.rows.table_series import FEWEST_ROWS
-from gyrocal.diagnosis.rows.visited import visits_tell, visits_turned_at
+from gyrocal.diagnosis.rows.visited import shows_branches, visits_tell, visits_turned_at
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.offer import fell_c
@@ -119,7 +119,9 @@ def _one_way_notes(series: Series) -> tuple[Remark, ...]:
 def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:
     """What is not looked for where the gyro turned at a few temperatures."""
     count = visits_turned_at(series.rate_dps, series.temp_c)
-    return () if count == 0 or visits_tell(count) else (Remark(Said.FEW_TEMPERATURES, {"count": count}),)
+    if count == 0 or visits_tell(count):
+        return ()
+    return (Remark(Said.FEW_TEMPERATURES, {"count": count, "branches": shows_branches(series.temp_c)}),)
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

@@ -63,7 +63,12 @@ def tells_of_scale(means: Means) -> bool:
 
 def tells_of_branches(means: Means) -> bool:
     """Whether the visits of a record tell what the bias remembers of where the temperature turned back."""
-    return visits_tell(int(np.unique(_visits(means.temp_c, means.temp_c)).size))
+    return shows_branches(means.temp_c)
+
+
+def shows_branches(temp_c: Floats) -> bool:
+    """The same of temperatures, one after the other."""
+    return visits_tell(int(np.unique(_visits(temp_c, temp_c)).size))
 
 
 def steps_of_scale(means: Means, fewest: int) -> Ints:
