@@ -66,12 +66,8 @@ _SEED = choice("seed", "1", 0.0, 2.0**52, 1.0, "which draw")
 
 def _asymmetry(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
     soft = p["softness_dps"]
-    if soft > 0:
-        # log((1 + exp(x)) / 2): nothing is added at rest
-        one_way = soft * (np.logaddexp(0.0, c.rate_dps / soft) - np.log(2.0))
-    else:
-        one_way = np.maximum(c.rate_dps, 0.0)
-    return np.asarray(PPM * p["amplitude"] * one_way)
+    # At rest nothing is added.
+    return np.asarray(PPM * p["amplitude"] * (_above(c.rate_dps, soft) - soft * np.log(2.0)))
 
 
 def _dead_zone(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -126,12 +122,14 @@ def _saturation(c: Conditions, p: Mapping[str, float], surface: Surface | None) 
 
 def beyond_knee_dps(rate_dps: Floats, knee_dps: float, softness_dps: float) -> Floats:
     """Part of a rate beyond a knee of either sign, shape (n,); where the knee is soft it begins gradually."""
-    size = np.abs(rate_dps)
+    return np.asarray(_above(np.abs(rate_dps) - knee_dps, softness_dps) * np.sign(rate_dps))
+
+
+def _above(rate_dps: Floats, softness_dps: float) -> Floats:
+    """Part of a rate above zero; where the corner is soft it begins gradually."""
     if softness_dps > 0:
-        above = softness_dps * np.logaddexp(0.0, (size - knee_dps) / softness_dps)
-    else:
-        above = np.maximum(size - knee_dps, 0.0)
-    return np.asarray(above * np.sign(rate_dps))
+        return np.asarray(softness_dps * np.logaddexp(0.0, rate_dps / softness_dps))
+    return np.maximum(rate_dps, 0.0)
 
 
 def _rate_order(c: Conditions, p: Mapping[str, float], surface: Surface | None) -> Floats:
@@ -175,10 +173,7 @@ def _draw_order(usual: Mapping[str, float], offer: Offer, rng: np.random.Generat
 def _asymmetry_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     k, soft = PPM * p["amplitude"], p["softness_dps"]
     if soft > 0:
-        # log(1 + exp(x)) from the side where exp cannot overflow
-        x = f"(w / {n(soft)})"
-        one_way = f"(fmax@f@({x}, 0) + log1p@f@(exp@f@(-fabs@f@({x}))) - {n(np.log(2.0))})"
-        return f"{n(k * soft)} * {one_way}"
+        return f"{n(k * soft)} * ({_above_c(f'(w / {n(soft)})')} - {n(np.log(2.0))})"
     return f"(w > 0 ? {n(k)} * w : 0)"
 
 
@@ -219,11 +214,14 @@ def _resonance_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
 def _saturation_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:
     knee, k, soft = n(p["knee_dps"]), n(p["amplitude"]), p["softness_dps"]
     if soft > 0:
-        # log(1 + exp(x)) from the side where exp cannot overflow
-        x = f"(fabs@f@(w) - {knee}) / {n(soft)}"
-        above = f"(fmax@f@({x}, 0) + log1p@f@(exp@f@(-fabs@f@({x}))))"
+        above = _above_c(f"(fabs@f@(w) - {knee}) / {n(soft)}")
         return f"{k} * {n(soft)} * (@real@)((w < 0) - (w > 0)) * {above}"
     return f"(w > {knee} ? {k} * ({knee} - w) : w < -{knee} ? -{k} * ({knee} + w) : 0)"
+
+
+def _above_c(x: str) -> str:
+    # log(1 + exp(x)) from the side where exp cannot overflow
+    return f"(fmax@f@({x}, 0) + log1p@f@(exp@f@(-fabs@f@({x}))))"
 
 
 def _rate_order_c(p: Mapping[str, float], n: Number, memory: CMemory) -> str:

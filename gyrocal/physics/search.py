@@ -130,6 +130,10 @@ class Search:
     in_part: bool = False
     accounts_for: tuple[str, ...] = ()
 
+    def most(self, name: str, offer: Offer) -> float:
+        """The largest value that a parameter of shape has on the grid."""
+        return max(shape[name] for shape in self.grid(offer))
+
     def nats_before(self, given: Shape) -> float:
         """Evidence that it starts with at some shape: less for one that is unusual."""
         lost = 0.0

@@ -159,7 +159,7 @@ def test_an_order_of_the_temperature_needs_more_temperatures_than_it_is(
 def test_four_visits_tell_of_no_branch(temps_c: list[float], told: bool) -> None:
     """Through four temperatures a branch of the bias goes as a cubic does: one had made a file three times worse than the surface."""
     means = means_of(series_of_table(at_temperatures(temps_c)[0]))
-    assert tells_of_branches(means) is told
+    assert tells_of_branches(means.temp_c) is told
     plays = [c for p in remembering(means) for c in p.columns if c.driver.kind == "play"]
     assert bool(plays) is told
     blank = Surface(np.zeros((4, 3)), 0.0, 100.0, 20.0, 30.0)

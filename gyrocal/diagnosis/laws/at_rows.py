@@ -84,7 +84,7 @@ class Laws:
             return []
         if is_of_scale_in_time(effect) and not tells_of_scale(self.means):
             return []
-        if effect is THERMAL_HYSTERESIS and not tells_of_branches(self.means):
+        if effect is THERMAL_HYSTERESIS and not tells_of_branches(self.means.temp_c):
             return []
         found = []
         for shape in effect.search.grid(self.offer):

@@ -121,8 +121,7 @@ def mechanism(effect: Effect) -> str:
 
 def becomes_another(effect: Effect, shape: Mapping[str, float], laws: Laws) -> bool:
     """Whether a law is at the end of its shapes, beyond which it becomes another."""
-    grid = effect.search.grid(laws.offer)
-    return any(shape[n] >= max(s[n] for s in grid) for n in effect.search.bounded)
+    return any(shape[n] >= effect.search.most(n, laws.offer) for n in effect.search.bounded)
 
 
 @dataclass(frozen=True)

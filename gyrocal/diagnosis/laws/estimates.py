@@ -306,9 +306,7 @@ def _loss(beside: Scan, shape: Mapping[str, float], name: str, value: float) -> 
 
 def _limits(beside: Scan, name: str) -> tuple[float, float]:
     known, search = beside.effect.parameter(name), beside.effect.search
-    if name not in search.bounded:
-        return known.low, known.high
-    return known.low, max(shape[name] for shape in search.grid(beside.laws.offer))
+    return known.low, search.most(name, beside.laws.offer) if name in search.bounded else known.high
 
 
 def _jointly(

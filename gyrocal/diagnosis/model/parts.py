@@ -415,7 +415,7 @@ def remembering(means: Means) -> list[Part]:
     bands = [Factor("band", (float(a), float(b))) for a, b in pairwise(_LAGS_S) if b < span_s]
     back_c = turned_back_c(means.series.history.temp_c)
     widths_c = [share * span_c for share in _PLAYS if share * span_c <= back_c]
-    plays = [Factor("play", (width_c,)) for width_c in widths_c if tells_of_branches(means)]
+    plays = [Factor("play", (width_c,)) for width_c in widths_c if tells_of_branches(means.temp_c)]
     slope, one = _legendre(1), Factor()
     found = [
         _part("lag on bias", MEMORY, tuple(Column(driver=d) for d in lags)),

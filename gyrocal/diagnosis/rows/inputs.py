@@ -11,7 +11,7 @@ from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.order import one_way
 from gyrocal.diagnosis.rows.series import Series
 from gyrocal.diagnosis.rows.table_series import FEWEST_ROWS
-from gyrocal.diagnosis.rows.visited import shows_branches, visits_tell, visits_turned_at
+from gyrocal.diagnosis.rows.visited import tells_of_branches, visits_tell, visits_turned_at
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
 from gyrocal.physics.offer import fell_c
@@ -121,7 +121,7 @@ def _few_temperatures_notes(series: Series) -> tuple[Remark, ...]:
     count = visits_turned_at(series.rate_dps, series.temp_c)
     if count == 0 or visits_tell(count):
         return ()
-    return (Remark(Said.FEW_TEMPERATURES, {"count": count, "branches": shows_branches(series.temp_c)}),)
+    return (Remark(Said.FEW_TEMPERATURES, {"count": count, "branches": tells_of_branches(series.temp_c)}),)
 
 
 def _check_coefficients(series: Series, coefficients: Coefficients, odd: Odd | None) -> None:

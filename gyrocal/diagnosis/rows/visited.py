@@ -20,12 +20,16 @@ LEAST_SPAN_C = 0.5
 
 def visits_turned_at(rate_dps: Floats, temp_c: Floats) -> int:
     """How many visits to a temperature, one after the other, the gyro turned in."""
-    return int(np.unique(_visits(temp_c[rate_dps != 0.0], temp_c)).size)
+    return _count(temp_c[rate_dps != 0.0], temp_c)
 
 
 def temperatures_told(temp_c: Floats) -> int:
     """How many temperatures a record tells apart: what scatters about two of them is no third."""
-    return int(np.unique(_visits(np.sort(temp_c), temp_c)).size)
+    return _count(np.sort(temp_c), temp_c)
+
+
+def _count(temp_c: Floats, all_c: Floats) -> int:
+    return int(np.unique(_visits(temp_c, all_c)).size)
 
 
 def _visits(temp_c: Floats, all_c: Floats) -> Ints:
@@ -61,14 +65,9 @@ def tells_of_scale(means: Means) -> bool:
     return visits_tell(visits_turned_at(means.rate_dps, means.temp_c))
 
 
-def tells_of_branches(means: Means) -> bool:
-    """Whether the visits of a record tell what the bias remembers of where the temperature turned back."""
-    return shows_branches(means.temp_c)
-
-
-def shows_branches(temp_c: Floats) -> bool:
-    """The same of temperatures, one after the other."""
-    return visits_tell(int(np.unique(_visits(temp_c, temp_c)).size))
+def tells_of_branches(temp_c: Floats) -> bool:
+    """Whether visits to these temperatures, one after the other, tell what the bias remembers of where they turned back."""
+    return visits_tell(_count(temp_c, temp_c))
 
 
 def steps_of_scale(means: Means, fewest: int) -> Ints:
