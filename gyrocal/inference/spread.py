@@ -28,8 +28,26 @@ _FARTHEST = 1e3
 #: steps bend it: on 67 drives with rests 0.13 of scatter of the white noise in its logarithm, 0.06 of this.
 _OUTLIERS = 0.1
 #: Neighbouring means of a rest that are compared, s: over so short a time no bias moves, and steps of the output hide less.
-#: How many steps between them tell a level.
-_REST_MEAN_S, _LEAST_STEPS = 0.1, 20
+#: How many steps between them tell anything of a level, and how many the level.
+_REST_MEAN_S, _FEWEST_STEPS, _SURE_STEPS = 0.1, 4, 20
+
+
+@dataclass(frozen=True)
+class White:
+    """White noise of a rate at rest, its unit per sqrt(Hz), by so many steps between neighbouring means."""
+
+    per_rt_hz: float
+    steps: int
+
+    @property
+    def sure(self) -> bool:
+        """Whether there are enough steps to take the level for what it is."""
+        return self.steps >= _SURE_STEPS
+
+    @property
+    def log_std(self) -> float:
+        """Standard deviation of the level's logarithm: neighbouring steps share a mean, and the largest are left out."""
+        return float(1.0 / np.sqrt(self.steps))
 
 
 @dataclass(frozen=True)
@@ -83,10 +101,10 @@ def mean_square(squares: Floats) -> float:
     return float(np.mean(kept)) / below
 
 
-def white_at_rest(rate: Floats, resting: NDArray[np.bool_], dt_s: Floats) -> float | None:
-    """White noise of a rate, its unit per sqrt(Hz), by neighbouring means at rest.
+def white_at_rest(rate: Floats, resting: NDArray[np.bool_], dt_s: Floats) -> White | None:
+    """White noise of a rate by neighbouring means at rest.
 
-    None where too little rests, or where the steps of the output hide all noise.
+    None where hardly anything rests, or where the steps of the output hide all noise.
 
     Parameters
     ----------
@@ -107,8 +125,8 @@ def white_at_rest(rate: Floats, resting: NDArray[np.bool_], dt_s: Floats) -> flo
             means = rate[run[: count * every]].reshape(count, every).mean(axis=1)
             squares.append(np.diff(means) ** 2)
     found = np.concatenate(squares) if squares else np.zeros(0)
-    if found.size < _LEAST_STEPS:
+    if found.size < _FEWEST_STEPS:
         return None
     # A difference has twice the variance.
     square = mean_square(found)
-    return float(np.sqrt(0.5 * square * every * step_s)) if square > 0 else None
+    return White(float(np.sqrt(0.5 * square * every * step_s)), found.size) if square > 0 else None

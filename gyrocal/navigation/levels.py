@@ -65,8 +65,8 @@ def rest_walk(rows: Rows) -> float | None:
     ends = np.concatenate([[-math.inf], rows.t_s[moving], [math.inf]])
     rest = (rows.t_s - ends[after] > TICK_WAITS_S[1]) & (ends[after + 1] - rows.t_s > TICK_WAITS_S[1])
     rest &= np.isfinite(rows.gyro_dps)
-    dps_per_rt_hz = white_at_rest(rows.gyro_dps, rest, np.diff(rows.t_s, prepend=rows.t_s[0]))
-    return None if dps_per_rt_hz is None else dps_per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ
+    white = white_at_rest(rows.gyro_dps, rest, np.diff(rows.t_s, prepend=rows.t_s[0]))
+    return white.per_rt_hz / DEG_PER_RT_H_TO_DPS_PER_RT_HZ if white is not None and white.sure else None
 
 
 def fit_noise(

@@ -48,7 +48,7 @@ MAGNETIC = Effect(
     family="angle, constant",
     equation="e = k B_h cos(theta - phi)",
     statement="The coil turns in the Earth's magnetic field (Faraday effect).",
-    parameters=(amplitude("mdeg/s", 100.0, 1.0, "bias in the horizontal field"), _PHASE),
+    parameters=(amplitude("mdeg/s", 30.0, 1.0, "bias in the horizontal field"), _PHASE),
     needs=("angle_deg",),
     seen_in="table_angle",
     looks_like=("earth_rate_tilt", "g_sensitivity"),

@@ -51,6 +51,12 @@ def twins_of(effect_id: str) -> tuple[str, ...]:
     return tuple(e.id for e in CATALOGUE.values() if e.search.twin_of == effect_id)
 
 
+def as_large(effect_id: str, amplitude: float) -> tuple[str, ...]:
+    """Of an effect and its twins those that may have an amplitude of this size; all of them where none may."""
+    alike = (effect_id, *twins_of(effect_id))
+    return tuple(e for e in alike if amplitude <= CATALOGUE[e].parameter("amplitude").high) or alike
+
+
 def law_of(effect_id: str) -> str:
     """The effect that is looked for in the stead of `effect_id`: itself, or the first of its twins."""
     return CATALOGUE[effect_id].search.twin_of or effect_id

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.diagnosis.result import Diagnosis, NamedEffect
-from gyrocal.physics.catalogue import CATALOGUE, twins_of
+from gyrocal.physics.catalogue import CATALOGUE, law_of
 from gyrocal.physics.rate import DEAD_ZONE
 from gyrocal.planning.planned import Design, Reach, designs, duration_h, to_profile
 from gyrocal.planning.separation import GOOD_POWER, Separation, repeats_needed, separate
@@ -183,8 +183,8 @@ def _separating(
     bench_hours: float,
 ) -> Proposal:
     others = [a.effect for a in effect.alternatives]
-    twins = {effect.effect, *twins_of(effect.effect)}
-    on_bench = [o for o in others if o not in twins and CATALOGUE[o].family != "sampling"]
+    unlike = [o for o in others if law_of(o) != law_of(effect.effect)]
+    on_bench = [o for o in unlike if CATALOGUE[o].family != "sampling"]
     doubtful = {effect.effect, *others}
     by_hand = [
         text

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from gyrocal.diagnosis.examine import examine
 from gyrocal.diagnosis.model.layers import Fitted, Model, full_model, surface_of
 from gyrocal.diagnosis.model.parts import EACH_RATE
 from gyrocal.diagnosis.model.rate_errors import largest, toll, with_tails
@@ -85,3 +86,17 @@ def test_without_errors_of_each_rate_nothing_is_done() -> None:
     less = full.without([EACH_RATE])
     alone = plain.refit(plain.model.without([EACH_RATE]))
     assert with_tails(less, alone) == (less, alone)
+
+
+@pytest.mark.parametrize(("sizes", "seed"), [(3, 0), (4, 5), (5, 7)])
+def test_errors_of_a_few_sizes_of_the_rate_are_no_law_that_goes_through_them(sizes: int, seed: int) -> None:
+    """Of ten such tables of each of these numbers of sizes five, one and one had a dead zone, an order and a saturation."""
+    rng = np.random.default_rng(seed)
+    size = np.linspace(20.0 / sizes, 20.0, sizes)
+    error = 2e-3 * size * np.random.default_rng(100 + seed).standard_normal(sizes)
+    rate, odd = (np.tile(np.concatenate([x, -x, [0.0]]), 6) for x in (size, error))
+    temp = np.repeat(np.linspace(0.0, 50.0, 6), rate.size // 6) + 0.01 * rng.standard_normal(rate.size)
+    gyro = rate + odd + 1e-3 * rng.standard_normal(rate.size)
+    t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
+    found = examine(series_of_table(DataSetTable(Path("few.csv"), rate, gyro, temp, t_s=t_s)), 0.01)
+    assert found.naming.named == ()

@@ -51,8 +51,21 @@ def test_white_noise_of_a_rest_is_that_of_its_rows_whether_they_come_once_or_twi
     rng = np.random.default_rng(5)
     rate, resting, dt_s = 0.2 * rng.standard_normal(4000), np.arange(4000) % 1000 < 500, np.full(4000, 0.02)
     found = white_at_rest(rate, resting, dt_s)
-    assert found == pytest.approx(0.2 * np.sqrt(0.02), rel=0.1)
+    assert found is not None
+    assert found.sure
+    assert found.per_rt_hz == pytest.approx(0.2 * np.sqrt(0.02), rel=0.1)
     twice, pairs_s = np.repeat(np.arange(4000), 2), np.tile([0.02, 0.0], 4000)
     assert white_at_rest(rate[twice], resting[twice], pairs_s) == found
     assert white_at_rest(np.zeros(4000), resting, dt_s) is None
     assert white_at_rest(rate, np.zeros(4000, dtype=np.bool_), dt_s) is None
+
+
+def test_what_a_short_rest_tells_of_the_white_noise_scatters_as_it_says() -> None:
+    rng = np.random.default_rng(9)
+    resting, dt_s = np.arange(200) < 50, np.full(200, 0.02)
+    found = [white_at_rest(0.2 * rng.standard_normal(200), resting, dt_s) for _ in range(400)]
+    off = [np.log(x.per_rt_hz / (0.2 * np.sqrt(0.02))) / x.log_std for x in found if x is not None]
+    assert not any(x.sure for x in found if x is not None)
+    assert len(off) == 400
+    assert abs(np.mean(off)) < 0.5
+    assert 0.7 < np.std(off) < 1.3

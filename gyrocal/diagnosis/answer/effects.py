@@ -30,7 +30,7 @@ from gyrocal.diagnosis.sweeps.lag_posterior import lag_estimates
 from gyrocal.diagnosis.sweeps.law_posterior import posterior_of
 from gyrocal.diagnosis.sweeps.open_loop import in_favour, phase_of
 from gyrocal.diagnosis.sweeps.unclocked import lacks_clock
-from gyrocal.physics.catalogue import CATALOGUE, twins_of
+from gyrocal.physics.catalogue import CATALOGUE, as_large
 from gyrocal.physics.rate import FIT_DIRECTION, RATE_ORDER, REFERENCE_RATE_ERROR, SAGNAC_SINE
 from gyrocal.physics.thermal import TEMPERATURE_ORDER, THERMAL_LAG
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
@@ -140,8 +140,7 @@ def _effect(
 ) -> NamedEffect:
     effect = CATALOGUE[effect_id]
     stated = by_data_set(found.series, parameters)
-    others = [Alternative(e, 1.0) for e in twins_of(effect.id)]
-    others += [
+    others = [
         Alternative(e, float(np.exp(np.clip(nats, 0.0, 50.0))))
         for e, nats in sorted(rivals.items(), key=lambda item: item[1])
         if nats < ALIKE_NATS
@@ -174,7 +173,11 @@ def _law(found: Examination, named: Named) -> NamedEffect:
 
 
 def _pattern(found: Examination, pattern: Pattern) -> NamedEffect:
-    return _effect(found, pattern.effect, estimates.of_pattern(pattern), pattern.p_value, {})
+    parameters = estimates.of_pattern(pattern)
+    least, _ = parameters["amplitude"].interval_95
+    # The earth turns no faster, whatever the table's tilt.
+    first, *twins = as_large(pattern.effect, least)
+    return _effect(found, first, parameters, pattern.p_value, dict.fromkeys(twins, 0.0))
 
 
 def _input_share(found: Examination) -> Estimate:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.drive.laws import Frame, Law, jump
+from gyrocal.diagnosis.drive.laws import Frame, Law, is_motion, jump
 from gyrocal.diagnosis.drive.levels import STRANGER_P
+from gyrocal.diagnosis.drive.motions import AS_LIKELY, mean_gain
 from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.diagnosis.drive.weighing import Evidence, evidence
 from gyrocal.diagnosis.drive.yaw import YawModel
@@ -64,12 +65,14 @@ def within_motion(nodes: Nodes) -> tuple[float, float]:
     return float(nodes.t_s[begin]), float(nodes.t_s[end])
 
 
-def _likeliest(begin_s: float, end_s: float, gains: Callable[[Floats], Floats]) -> Instant | None:
-    """The likeliest instant of a jump by what each gains; None where it may be chance."""
+def _likeliest(
+    begin_s: float, end_s: float, gains: Callable[[Floats], Floats], least: float = -np.inf
+) -> Instant | None:
+    """The likeliest instant of a jump by what each gains; None where it may be chance, or one at any gains less than `least`."""
     apart_s = (end_s - begin_s) / _INSTANTS
     instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
     gained = gains(instants_s)
-    if chance(float(gained.max())) >= STRANGER_P:
+    if chance(float(gained.max())) >= STRANGER_P or mean_gain(gained) < least:
         return None
     closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
     closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
@@ -99,24 +102,31 @@ def jump_of(
     dict of str to Law
         One by the name ``jump``, or one or two by ``time:`` and the name of a wheel's law, or none.
     """
-    ends_s = model.frame.nodes.t_s
     columns = {n: laws[n].column for n in chosen}
 
     def until(name: str, at_s: float) -> Floats:
-        return np.where(ends_s < at_s, laws[name].column, 0.0)
+        return np.where(model.frame.nodes.t_s < at_s, laws[name].column, 0.0)
 
-    def likeliest(name: str) -> Instant | None:
+    def likeliest(name: str, beside: Sequence[str] = chosen, least: float = -np.inf) -> Instant | None:
         def gains(instants_s: Floats) -> Floats:
             of = {f"{name}:{k}": until(name, t) for k, t in enumerate(instants_s.tolist())}
             # Held to what is known of it, a figure that is off from that would be taken for another one until the end.
             told = evidence(model, columns | of).knowing(less(known, name))
-            return np.array([told.added(chosen, [n]) for n in of], dtype=np.float64)
+            return np.array([told.added(beside, [n]) for n in of], dtype=np.float64)
 
-        return _likeliest(*within_motion(model.frame.nodes), gains)
+        return _likeliest(*within_motion(model.frame.nodes), gains, least)
+
+    def instead() -> Instant | None:
+        """A jump that a law of the bias stands for, which then tells of no jump beside it."""
+        others = [n for n in chosen if not is_motion(n) and n != "slope"]
+        if len(others) == len(chosen):
+            return None
+        told = evidence(model, columns).knowing(less(known, "bias"))
+        return likeliest("bias", others, told.added(others, chosen) + AS_LIKELY)
 
     with_time = [n for n in free.own.names if n.startswith("time:")]
     changing = bool(stats.chi2.sf(free.added(chosen, with_time), len(with_time)) < STRANGER_P)
-    found = {"bias": likeliest("bias")}
+    found = {"bias": likeliest("bias") or instead()}
     if found["bias"] is not None or changing:
         found |= {n: likeliest(n) for n in _OF_WHEELS if n in laws}
     likely = {n: x for n, x in found.items() if x is not None}

@@ -100,7 +100,11 @@ def settling_beats(told: Evidence, beside: Sequence[str], name: str, least: floa
 
 def settling_gain(told: Evidence, beside: Sequence[str]) -> float:
     """What a bias that settles by itself gains, of any time constant; minus infinity where none was looked at."""
-    gains = np.array([told.added(beside, [n]) for n in told.own.names if n in SETTLING])
+    return mean_gain(np.array([told.added(beside, [n]) for n in told.own.names if n in SETTLING]))
+
+
+def mean_gain(gains: Floats) -> float:
+    """Gain of a law of any of several shapes, each as likely beforehand; minus infinity where there are none."""
     return 2.0 * float(logsumexp(0.5 * gains, b=1.0 / gains.size)) if gains.size else -np.inf
 
 

@@ -110,9 +110,7 @@ def usual_flicker_dps(arw_dps_per_rt_hz: float) -> float:
 def usual_noise(series: DriveSeries) -> YawNoise:
     """Noise to begin with: the gyro's white noise from its rows at rest, the rest from robot file and ticks."""
     given = series.robot.noise
-    arw = white_at_rest(series.gyro_dps, series.resting, series.dt_s)
-    if arw is None:
-        arw = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * given[_WALK]
+    arw, _ = _white(series)
     tick = float(np.hypot(*series.tick_m)) / np.sqrt(12.0)
     return YawNoise(
         max(arw, 1e-6),
@@ -128,14 +126,15 @@ def usual_noise(series: DriveSeries) -> YawNoise:
     )
 
 
-def _white_is_open(series: DriveSeries) -> bool:
-    """Whether neither a rest nor the robot file tells the gyro's white noise, and the drive itself has to."""
-    told = f"noise.{_WALK}" in series.robot.given
-    return (
-        series.differential
-        and not told
-        and white_at_rest(series.gyro_dps, series.resting, series.dt_s) is None
-    )
+def _white(series: DriveSeries) -> tuple[float, float]:
+    """The gyro's white noise, dps per sqrt(Hz), and the standard deviation of its logarithm; 0 where a rest or the robot file tells it."""
+    seen = white_at_rest(series.gyro_dps, series.resting, series.dt_s)
+    if seen is not None and seen.sure:
+        return seen.per_rt_hz, 0.0
+    told = DEG_PER_RT_H_TO_DPS_PER_RT_HZ * series.robot.noise[_WALK]
+    if f"noise.{_WALK}" in series.robot.given or not series.differential:
+        return told, 0.0
+    return (told, SPREAD["arw_dps_per_rt_hz"]) if seen is None else (seen.per_rt_hz, seen.log_std)
 
 
 @dataclass(frozen=True)
@@ -374,7 +373,8 @@ def _levels(
     frame: Frame, sources: _Sources, y: Floats, columns: Floats, usual: YawNoise, left_out: Floats
 ) -> tuple[YawNoise, dict[str, float]]:
     """Levels of the noise, and the standard deviation of the logarithm of each of `_TOLD_LEVELS`."""
-    names = [n for n in SPREAD if n != "arw_dps_per_rt_hz" or _white_is_open(frame.series)]
+    spreads = SPREAD | {"arw_dps_per_rt_hz": _white(frame.series)[1]}
+    names = [n for n in SPREAD if spreads[n] > 0]
     if not frame.series.differential:
         names = ["flicker_dps"]
 
@@ -385,7 +385,7 @@ def _levels(
         return replace(found, flicker_dps=times * found.flicker_dps)
 
     prior = np.log([getattr(usual, n) for n in names])
-    spread = np.array([SPREAD[n] for n in names])
+    spread = np.array([spreads[n] for n in names])
     # From a level that is lost beneath the others the search sees no slope.
     first = prior + spread * [_SEEN * (n in ("track_wander", "wheel_wander", "jitter_s")) for n in names]
     told = [n for n in _TOLD_LEVELS if n in names]

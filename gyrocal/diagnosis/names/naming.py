@@ -336,8 +336,11 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     named = [replace(n, share=share) for n in alone.named]
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
     replaces = all(_of_robot(n) or is_passing(n) for n in named) or not BLOCKS[block].stays
-    # Errors of single rates are as simple as a law is.
-    slack = 0.0 if block == EACH_RATE else REPLACED + len(named)
+    if block in BENT and not beyond_chance(1.0, [n.law for n in named], block, laws):
+        # Of so few sizes of the rate anything makes a law.
+        return unnamed
+    # Errors of single rates are as simple as a law is, which had its shapes to choose from.
+    slack = -sum(map(paid_by, named)) if block == EACH_RATE else REPLACED + len(named)
     if alone.fitted.nll <= whole_nll + slack:
         return _Answer(alone.fitted if replaces else fitted, named, alone.near, alone.fitted.nll)
     beside = beside_laws(fitted, alone.fitted.model.laws, block) if replaces else fitted

@@ -15,6 +15,7 @@ from gyrocal.diagnosis.drive import beside_truth, improved
 from gyrocal.diagnosis.drive.beside_truth import _loss_with_jump
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.findings import joint_estimate
+from gyrocal.diagnosis.drive.laws import is_motion
 from gyrocal.diagnosis.drive.levels import GAIN
 from gyrocal.diagnosis.drive.motions import or_nothing
 from gyrocal.diagnosis.drive.reckoning import Figures, reckon
@@ -22,7 +23,7 @@ from gyrocal.diagnosis.drive.search import YawAnswer, _gain, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Remark, Said
-from gyrocal.records.drive import DriveBlock
+from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.remarks import remark_words
 from tests.diagnosis.drive.fleet import Plan, drive
@@ -262,6 +263,24 @@ def test_a_bias_that_jumps_and_stays_is_located_and_no_robot_file_holds_it(resti
     assert (gyro.scale, gyro.bias_motion_dps, gyro.bias_moving_dps) == (0.0, 0.0, 0.0)
     # As it is, the same drive has none.
     assert "jump" not in examine("log", log, resting, None).yaw.chosen
+
+
+@pytest.mark.parametrize("warms", [False, True])
+def test_a_jump_between_two_short_rests_is_a_jump(warms: bool) -> None:
+    """A bias that follows the motion by a second explains a last rest of half a second as well, and one by the temperature."""
+    robot = robot_of({"wheel_separation_m": 0.5, "static_s": 0.0}, Path("restless.toml"))
+    plan = replace(RESTS, shape="eights", minutes=3.0, rest_s=0.0, wheel_noise=4e-4)
+    log = drive(plan, 4)
+    stands_s = float(log.t_s[np.flatnonzero(np.abs(log.left_m) + np.abs(log.right_m))[-1]])
+    log = cut(log, slice(0, int(np.searchsorted(log.t_s, stands_s + 0.6))))
+    temp_c = log.gyro_temp_c if warms else np.full(len(log), np.nan)
+    jumped = replace(log, gyro_dps=log.gyro_dps + 0.07 * (log.t_s > 100.0), gyro_temp_c=temp_c)
+    found = examine("log", jumped, robot, None).yaw
+    assert "jump" in found.chosen
+    assert "asymmetry" not in found.named
+    assert not any(is_motion(n) for n in found.chosen)
+    shape = found.laws["jump"].shape
+    assert shape["earliest_s"] <= 100.0 <= shape["latest_s"]
 
 
 @pytest.mark.slow
