@@ -1,4 +1,4 @@
-"""Effects of the table angle: once or twice a turn, constant in size or growing with rate."""
+"""Effects of the table angle: once or a few times a turn, constant in size or growing with rate."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from gyrocal.physics.search import Search, with_phase
 from gyrocal.physics.surface import Surface
 from gyrocal.units import ARCSEC_TO_DEG, DEG_TO_RAD, MDPS
 
+#: Periods a turn that are looked for: of a centre, an oval, and the gears and poles of drives.
+_HARMONICS = 6
 _PHASE = choice("phase_rad", "rad", -2 * np.pi, 2 * np.pi, 0.0, "table angle of the maximum")
 
 
@@ -94,7 +96,7 @@ TABLE_ECCENTRICITY = Effect(
     id="table_eccentricity",
     family="angle, with rate",
     equation="reference angle off by eps sin(k theta + phi): e = -eps k w cos(k theta + phi), k = 1, 2, ...",
-    statement="The table's angle reference is off centre, so that the reference rate is wrong once or twice a turn.",
+    statement="The table's angle reference is off centre, or its gear or motor pulls, so that the reference rate is wrong once or a few times a turn.",
     parameters=(
         amplitude("arcsec", 3600.0, 5.0, "error of the reference angle"),
         count("harmonic", 1.0, 64.0, 1.0, "periods a turn"),
@@ -108,7 +110,9 @@ TABLE_ECCENTRICITY = Effect(
     error_dps=memoryless(_eccentricity),
     acts_on="reference",
     search=Search(
-        grid=lambda offer: [{"harmonic": 1.0}, {"harmonic": 2.0}], columns=with_phase, requires=(table_turns,)
+        grid=lambda offer: [{"harmonic": float(k)} for k in range(1, _HARMONICS + 1)],
+        columns=with_phase,
+        requires=(table_turns,),
     ),
     fold=on_turn_with_rate,
 )

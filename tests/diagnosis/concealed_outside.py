@@ -106,9 +106,9 @@ def asymmetry_with_temperature(w: World, rng: np.random.Generator) -> tuple[Floa
 
 
 def cogging(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:
-    """Five times a turn, growing with rate."""
+    """Five times a turn, as large at every rate."""
     phase = rng.uniform(0, 2 * np.pi)
-    return 1e-5 * w.rate_dps * np.cos(5 * np.deg2rad(w.angle_deg) + phase), {}
+    return 1e-3 * np.cos(5 * np.deg2rad(w.angle_deg) + phase), {}
 
 
 def scale_bump_in_time(w: World, rng: np.random.Generator) -> tuple[Floats, Drawn]:

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrocal.diagnosis.engine import series_of
+from gyrocal.diagnosis.engine import diagnose, series_of
 from gyrocal.diagnosis.laws.estimates import _shapes, of_pattern
 from gyrocal.diagnosis.model.within import Pattern, jackknife, patterns
 from gyrocal.diagnosis.rows.columns import conditions_of
 from gyrocal.physics.catalogue import find_effect
 from gyrocal.physics.conditions import Conditions
+from gyrocal.units import MDPS
 from tests.diagnosis.concealed_bench import make_recording, write_run
 
 
@@ -38,11 +39,14 @@ def test_a_decay_time_has_an_interval(tmp_path: Path) -> None:
         assert high - low < abs(estimate.value)
 
 
-def test_an_error_of_the_reference_is_turned_by_a_gyro_that_is_not_straight(tmp_path: Path) -> None:
-    """An angle error of 20 arcsec, twice a turn, under a gyro whose scale factor grows by a tenth up to the largest rate."""
+@pytest.mark.parametrize("harmonic", [2.0, 3.0])
+def test_an_error_of_the_reference_is_turned_by_a_gyro_that_is_not_straight(
+    harmonic: float, tmp_path: Path
+) -> None:
+    """An angle error of 20 arcsec, a few times a turn, under a gyro whose scale factor grows by a tenth up to the largest rate."""
     write_run(make_recording([], 22, "even"), tmp_path / "run")
     series = series_of(tmp_path / "run")
-    effect, shape = find_effect("table_eccentricity"), {"harmonic": 2.0}
+    effect, shape = find_effect("table_eccentricity"), {"harmonic": harmonic}
     off = effect.error_dps(conditions_of(series), {**shape, "amplitude": 20.0, "phase_rad": 0.7}, None, None)[
         0
     ]
@@ -90,3 +94,19 @@ def test_what_is_chosen_from_a_few_has_no_interval() -> None:
     told = stated["softness_dps"].to_json()
     assert told == {"value": 0.0, "std": None, "unit": "deg/s", "interval_95": [None, None]}
     assert stated["knee_dps"].interval_95 == (70.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    ("size_mdps", "names"),
+    [(3.0, ["earth_rate_tilt", "magnetic", "g_sensitivity"]), (50.0, ["g_sensitivity"])],
+)
+def test_what_is_larger_than_the_rate_of_the_earth_is_not_that(
+    size_mdps: float, names: list[str], tmp_path: Path
+) -> None:
+    write_run(make_recording([], 22, "even"), tmp_path / "run")
+    series = series_of(tmp_path / "run")
+    assert series.angle_deg is not None
+    once = size_mdps * MDPS * np.cos(np.deg2rad(series.angle_deg) - 1.0)
+    found = diagnose(replace(series, gyro_dps=series.gyro_dps + once))
+    (effect,) = found.effects
+    assert [effect.effect, *(a.effect for a in effect.alternatives)] == names

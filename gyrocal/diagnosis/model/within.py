@@ -186,7 +186,7 @@ def _with_intervals(
 
 
 def strange_turns(series: Series, level: float) -> list[Located]:
-    """Patterns of the table angle that no law of the catalogue has: higher harmonics, of one size or with the rate.
+    """Patterns of the table angle that no law of the catalogue has: higher harmonics of one size at every rate.
 
     Parameters
     ----------
@@ -196,13 +196,12 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     rows = _usable(series)
     if series.angle_deg is None or not rows.any():
         return []
-    c, rate = conditions_of(series), series.rate_dps / max(float(np.max(np.abs(series.rate_dps))), 1e-9)
+    c = conditions_of(series)
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
     candidates = []
     for k in STRANGE_HARMONICS:
         turns = np.column_stack([c.turned(k, 0.0), c.turned(k, -0.5 * np.pi)])
-        candidates += [_Candidate("", {"harmonic": float(k)}, turns)]
-        candidates += [_Candidate("", {"harmonic": float(k)}, turns * rate[:, None])]
+        candidates.append(_Candidate("", {"harmonic": float(k)}, turns))
     places = []
     for candidate in candidates:
         (found,) = _test(series, rows, sets, [candidate])
