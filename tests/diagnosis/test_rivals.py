@@ -14,6 +14,7 @@ from gyrocal.diagnosis.laws.estimates import likely_shapes
 from gyrocal.diagnosis.laws.in_place import Named
 from gyrocal.diagnosis.laws.jumps import boundaries
 from gyrocal.diagnosis.model.layers import Fitted, Law, fit_model, full_model, surface_of
+from gyrocal.diagnosis.model.parts import EACH_RATE, ODD
 from gyrocal.diagnosis.names.rivals import or_lasting, or_passing, with_rivals
 from gyrocal.diagnosis.rows.means import Means, means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
@@ -64,6 +65,21 @@ def test_a_rival_stands_in_the_file_by_how_likely_it_is() -> None:
     )
     assert own + other == pytest.approx(1.0)
     assert other / own == pytest.approx(np.exp(-behind), rel=1e-6)
+
+
+def test_shapes_in_rate_stand_in_for_errors_of_each_rate() -> None:
+    """What a few rates show is the table's or the gyro's, and in the file by how likely it is the gyro's."""
+    means = _means(np.array([20.0, 30.0, 40.0]), 6e-3)
+    model = full_model(means)
+    kept = {"white", EACH_RATE, *(p.name for p in model.parts if p.block == "surface")}
+    drawn = fit_model(model.without([n for n in model.components if n not in kept]))
+    laws = laws_of(means, surface_of(drawn.model, drawn.solve()))
+    (own, first), (other, shaped) = with_rivals(drawn, [], laws)
+    assert first is drawn
+    assert shaped.model.of_block(ODD)
+    assert not shaped.model.of_block(EACH_RATE)
+    assert own + other == pytest.approx(1.0)
+    assert other / own == pytest.approx(np.exp(drawn.nll - shaped.nll - TOLL_NATS))
 
 
 def test_what_wanders_stands_in_for_a_law_of_what_passes() -> None:

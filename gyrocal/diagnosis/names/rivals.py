@@ -15,7 +15,8 @@ from gyrocal.diagnosis.laws.in_place import NAMED_LEVEL, Named, is_passing
 from gyrocal.diagnosis.laws.jumps import best_jump
 from gyrocal.diagnosis.model.blocks import around_itself
 from gyrocal.diagnosis.model.layers import NEGLIGIBLE, Fitted, Model, beyond_input
-from gyrocal.diagnosis.model.parts import EACH_RATE, FOLLOWING, PASSING, passing
+from gyrocal.diagnosis.model.parts import EACH_RATE, FOLLOWING, ODD, PASSING, passing
+from gyrocal.diagnosis.model.starts import alive
 from gyrocal.diagnosis.sweeps.candidates import AVERAGED_NATS
 from gyrocal.diagnosis.sweeps.changes import DRIFTS, STEPS
 from gyrocal.diagnosis.sweeps.coil import TOLL_NATS
@@ -25,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tuple[float, Fitted]]:
-    """A model, and those with rivals in place of one or more of its laws, with how likely each is.
+    """A model, and those with rivals in place of one or more of its laws, or of errors of each rate, with how likely each is.
 
     Of a few rates, or of temperatures that come once, several laws explain the same, and away from what was visited each
     makes something else of it: a file of one alone would be sure of what nobody knows.
@@ -35,7 +36,9 @@ def with_rivals(fitted: Fitted, named: Sequence[Named], laws: Laws) -> list[tupl
         near += [other for loss, model in near for other in _with_rival(loss, model, one, laws)]
         least = min(loss for loss, _ in near)
         near = [(loss - least, model) for loss, model in near if loss < least + AVERAGED_NATS]
-    weights = np.exp([-loss for loss, _ in near])
+    near += [other for loss, model in near for other in _with_shapes(loss, model)]
+    least = min(loss for loss, _ in near)
+    weights = np.exp([least - loss for loss, _ in near])
     return [*zip((weights / weights.sum()).tolist(), (model for _, model in near), strict=True)]
 
 
@@ -183,6 +186,20 @@ def _with_rival(loss: float, fitted: Fitted, one: Named, laws: Laws) -> Iterator
         if rival is not None:
             shaped = reshaped(rival.fitted, laws, [rival.law.name])
             yield loss + shaped.nll + price(rival.law, rival.shapes, TOLL_NATS) - own, shaped
+
+
+def _with_shapes(loss: float, fitted: Fitted) -> Iterator[tuple[float, Fitted]]:
+    """The model with shapes in rate, which pay together what a law pays, in place of errors of each rate of the table.
+
+    A few rates are followed by anything smooth as well as by errors that know nothing of each other, and only one of the two
+    is the gyro's.
+    """
+    model = fitted.model
+    drawn = model.of_block(EACH_RATE)
+    shapes = [model.basis.component(p) for p in model.parts if p.block == ODD]
+    if drawn and shapes and not model.of_block(ODD):
+        shaped = alive(fitted.refit(model.without(drawn).with_components(*shapes)))
+        yield loss + shaped.nll + TOLL_NATS - fitted.nll, shaped
 
 
 def paid_by(named: Named) -> float:
