@@ -57,6 +57,7 @@ from gyrocal.diagnosis.sweeps.unclocked import leaps
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.disturbance import STEP_RESPONSE
+from gyrocal.physics.rate import FIT_DIRECTION
 from gyrocal.physics.timewise import BIAS_DRIFT
 
 Floats = NDArray[np.float64]
@@ -136,8 +137,12 @@ class Examination:
 
     @property
     def of_the_input(self) -> bool:
-        """Whether a surface of the input, not of the output, is a finding by itself: not where a law of the rate explains it."""
-        return self.naming.input_gain > GAIN and not self._laws_odd_in_rate
+        """Whether a surface of the input, not of the output, is a finding by itself.
+
+        Not where a law of the rate explains it, nor where few sizes of the rate leave one number for all that is odd in it.
+        """
+        told = FIT_DIRECTION.why_not(self.laws.offer) is None
+        return told and self.naming.input_gain > GAIN and not self._laws_odd_in_rate
 
     @property
     def of_a_sine(self) -> bool:

@@ -414,7 +414,7 @@ FIT_DIRECTION = Effect(
     reference="deviation of a polynomial of high order",
     runtime=True,
     error_dps=memoryless(_fit_direction),
-    search=Search(requires=(many_rates,), prior_nats=-1.0),
+    search=Search(requires=(many_rates, many_sizes), prior_nats=-1.0),
     hiding=Hiding(free_size=False),
     c_text=CText(_fit_direction_c, (_DIRECTION,)),
     by_surface=by_differences(_fit_direction),

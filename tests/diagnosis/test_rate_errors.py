@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.examine import examine
+from gyrocal.diagnosis.examine import Examination, examine
 from gyrocal.diagnosis.model.layers import Fitted, Model, full_model, surface_of
 from gyrocal.diagnosis.model.parts import EACH_RATE
 from gyrocal.diagnosis.model.rate_errors import largest, toll, with_tails
@@ -88,15 +88,27 @@ def test_without_errors_of_each_rate_nothing_is_done() -> None:
     assert with_tails(less, alone) == (less, alone)
 
 
-@pytest.mark.parametrize(("sizes", "seed"), [(3, 0), (4, 5), (5, 7)])
-def test_errors_of_a_few_sizes_of_the_rate_are_no_law_that_goes_through_them(sizes: int, seed: int) -> None:
-    """Of ten such tables of each of these numbers of sizes five, one and one had a dead zone, an order and a saturation."""
+def of_sizes(size: Floats, odd_dps: Floats, seed: int) -> Examination:
+    """What a table of rest and a few sizes of the rate, both ways at six temperatures, says of an odd error at each."""
     rng = np.random.default_rng(seed)
-    size = np.linspace(20.0 / sizes, 20.0, sizes)
-    error = 2e-3 * size * np.random.default_rng(100 + seed).standard_normal(sizes)
-    rate, odd = (np.tile(np.concatenate([x, -x, [0.0]]), 6) for x in (size, error))
+    rate, odd = (np.tile(np.concatenate([x, -x, [0.0]]), 6) for x in (size, odd_dps))
     temp = np.repeat(np.linspace(0.0, 50.0, 6), rate.size // 6) + 0.01 * rng.standard_normal(rate.size)
     gyro = rate + odd + 1e-3 * rng.standard_normal(rate.size)
     t_s = 30.0 * np.arange(rate.size, dtype=np.float64)
-    found = examine(series_of_table(DataSetTable(Path("few.csv"), rate, gyro, temp, t_s=t_s)), 0.01)
-    assert found.naming.named == ()
+    return examine(series_of_table(DataSetTable(Path("few.csv"), rate, gyro, temp, t_s=t_s)), 0.01)
+
+
+@pytest.mark.parametrize(("sizes", "seed"), [(3, 0), (4, 5), (5, 7)])
+def test_errors_of_a_few_sizes_of_the_rate_are_no_law_that_goes_through_them(sizes: int, seed: int) -> None:
+    """Of ten such tables of each of these numbers of sizes five, one and one had a dead zone, an order and a saturation."""
+    size = np.linspace(20.0 / sizes, 20.0, sizes)
+    errors = 2e-3 * np.random.default_rng(100 + seed).standard_normal(sizes)
+    assert of_sizes(size, size * errors, seed).naming.named == ()
+
+
+def test_one_number_that_is_odd_in_the_rate_is_no_direction_of_the_fit() -> None:
+    """A surface of the input fits three sizes of a sine well, and "cubic in the input" had been said of it."""
+    size = np.array([26.0, 53.0, 80.0])
+    found = of_sizes(size, np.sin(0.008 * size) / 0.008 - size, 1)
+    assert found.naming.input_gain > 100.0
+    assert not found.of_the_input
