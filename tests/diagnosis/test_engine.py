@@ -306,6 +306,7 @@ def test_a_drift_at_rest_is_not_taken_for_the_thermometers_noise() -> None:
     table = DataSetTable(Path("rest.csv"), np.zeros(t_s.size), gyro, temp, t_s=t_s)
     found = diagnose(table, options=Options(heldout=False))
     assert [e.effect for e in found.effects] == ["bias_drift"]
+    assert found.effects[0].alternatives == ()
 
 
 @pytest.mark.slow

@@ -282,6 +282,9 @@ def test_ageing_is_a_drift_and_is_held_where_it_was_last_and_a_warm_up_comes_aga
     assert [e.effect for e in aged.effects] == ["bias_drift"]
     assert [e.effect for e in of_logarithm.effects] == ["bias_drift"]
     assert [e.effect for e in warmed.effects] == ["warm_up"]
+    # What slows down from power-on may be a warm-up of another law.
+    for slowing in (*aged.effects, *of_logarithm.effects):
+        assert [a.effect for a in slowing.alternatives] == ["warm_up"]
     later = np.array([0.0, 3600.0])
     held = [0.015, 0.015]
     for found, expected in ((aged, held), (of_logarithm, held), (warmed, [0.015, 0.0101])):
