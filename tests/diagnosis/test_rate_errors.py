@@ -112,3 +112,9 @@ def test_one_number_that_is_odd_in_the_rate_is_no_direction_of_the_fit() -> None
     found = of_sizes(size, np.sin(0.008 * size) / 0.008 - size, 1)
     assert found.naming.input_gain > 100.0
     assert not found.of_the_input
+
+
+def test_an_output_of_zero_where_the_table_turns_is_a_dead_zone_at_any_number_of_sizes() -> None:
+    """No table errs by a hundred per cent, or by one."""
+    (named,) = of_sizes(np.array([0.1, 20.0, 50.0]), np.array([-0.1, 0.0, 0.0]), 1).naming.named
+    assert named.law.effect == "dead_zone"

@@ -12,11 +12,13 @@ Jaakkola and Jordan, Stat. Comput. 10 (2000): a bound of the evidence from the d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, gammaln
 
-from gyrocal.diagnosis.model.layers import Fitted, Model
+from gyrocal.diagnosis.model.layers import Fitted, Law, Model
 from gyrocal.diagnosis.model.parts import EACH_RATE
 from gyrocal.inference.additive import Component, Solution
 from gyrocal.physics.rate import REFERENCE_RATE_ERROR
@@ -69,6 +71,14 @@ def of_a_table(fitted: Fitted) -> bool:
     """Whether a table errs by as little: what is more, as about the edges of a dead zone, is the gyro's."""
     (size, *_) = REFERENCE_RATE_ERROR.parameters
     return size_ppm(fitted) < size.high
+
+
+def is_beyond_a_table(fitted: Fitted, laws: Sequence[Law]) -> bool:
+    """Whether laws make more of some rate than a table errs by, as a dead zone does of small ones."""
+    (size, *_) = REFERENCE_RATE_ERROR.parameters
+    amplitudes, rate_dps = fitted.solve().amplitudes, np.abs(fitted.model.means.felt_dps)
+    added_dps = np.sum([law.columns @ amplitudes[law.name] for law in laws], axis=0)
+    return bool(np.any((np.abs(added_dps) > size.high * PPM * rate_dps) & (rate_dps > 0.0)))
 
 
 def largest(fitted: Fitted) -> list[tuple[float, float, float]]:

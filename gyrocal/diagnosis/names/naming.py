@@ -32,6 +32,7 @@ from gyrocal.diagnosis.model.blocks import (
 )
 from gyrocal.diagnosis.model.layers import Fitted, Law
 from gyrocal.diagnosis.model.parts import BIAS_IN_TIME, BLOCKS, EACH_RATE, ODD, PASSING, SINCE_ON, by_size
+from gyrocal.diagnosis.model.rate_errors import is_beyond_a_table
 from gyrocal.diagnosis.names.rivals import or_lasting, or_passing, paid_by
 from gyrocal.diagnosis.rows.means import Means
 from gyrocal.inference.additive import Component
@@ -336,7 +337,9 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     named = [replace(n, share=share) for n in alone.named]
     # What stays and a robot cannot evaluate as a law of one amplitude stays as a smooth part.
     replaces = all(_of_robot(n) or is_passing(n) for n in named) or not BLOCKS[block].stays
-    if block in BENT and not beyond_chance(1.0, [n.law for n in named], block, laws):
+    own = [n.law for n in named]
+    of_gyro = block in (ODD, EACH_RATE) and is_beyond_a_table(alone.fitted, own)
+    if block in BENT and not of_gyro and not beyond_chance(1.0, own, block, laws):
         # Of so few sizes of the rate anything makes a law.
         return unnamed
     # Errors of single rates are as simple as a law is, which had its shapes to choose from.
@@ -346,7 +349,6 @@ def _name_block(fitted: Fitted, block: str, laws: Laws, whole_nll: float) -> _An
     beside = beside_laws(fitted, alone.fitted.model.laws, block) if replaces else fitted
     if BLOCKS[block].lasts:
         # What a law leaves is its misfit.
-        own = [n.law for n in named]
         at_most = (without.nll - changing(alone.fitted, own, laws).nll) / worth
         earned = beyond_chance(at_most, own, block, laws) >= _NAMED_SHARE or _stands_for(block)
         return _Answer(beside, named, alone.near, alone.fitted.nll) if earned else unnamed
