@@ -227,8 +227,7 @@ def _left_to_check(several: Sequence[Law], block: str, laws: Laws) -> float:
     odd, even = laws.offer.left_by_cubic
     numbers = odd if block in (ODD, EACH_RATE) else even
     shapes = sum(len(free_of(law)) for law in several)
-    sizes = [law.columns.shape[1] for law in several if CATALOGUE[law.effect].search.natural is None]
-    free = numbers - shapes - sum(sizes)
+    free = numbers - shapes - sum(law.columns.shape[1] for law in several)
     return free / numbers if free > 0 else 0.0
 
 

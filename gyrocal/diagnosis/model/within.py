@@ -146,7 +146,9 @@ def patterns(series: Series, level: float) -> list[Pattern]:
 def tested_alone(series: Series) -> list[Pattern]:
     """Every law that runs with the table angle within data sets, by itself, as the sets show it."""
     rows = _usable(series)
-    tried = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == "table_angle"]
+    angle = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == "table_angle"]
+    # Sets that turn through a part of a turn each do not tell higher harmonics from each other.
+    tried = [(effect, shape) for effect, shape in angle if shape.get("harmonic") not in STRANGE_HARMONICS]
     if not (tried and rows.any()):
         return []
     laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]
