@@ -122,7 +122,9 @@ def jump_of(
         if len(others) == len(chosen):
             return None
         told = evidence(model, columns).knowing(less(known, "bias"))
-        return likeliest("bias", others, told.added(others, chosen) + AS_LIKELY)
+        taken = told.added(others, chosen)
+        found = likeliest("bias", others, taken + AS_LIKELY)
+        return found and replace(found, gain=found.gain - taken)
 
     with_time = [n for n in free.own.names if n.startswith("time:")]
     changing = bool(stats.chi2.sf(free.added(chosen, with_time), len(with_time)) < STRANGER_P)
@@ -132,10 +134,19 @@ def jump_of(
     likely = {n: x for n, x in found.items() if x is not None}
     if not likely:
         return {}
-    name, instant = max(likely.items(), key=lambda item: item[1].gain)
+    name = max(likely, key=lambda n: likely[n].gain)
     if name == "bias":
-        return {"jump": law_at(model.frame, instant)}
-    both = {n: until(n, instant.at_s) for n in _OF_WHEELS}
+        return {"jump": law_at(model.frame, likely[name])}
+    return _wheels_until(model, laws, chosen, name, likely[name])
+
+
+def _wheels_until(
+    model: YawModel, laws: Mapping[str, Law], chosen: Sequence[str], name: str, instant: Instant
+) -> dict[str, Law]:
+    """Track or wheels that are others from an instant on, and the other of the two where it changes then, too."""
+    until = model.frame.nodes.t_s < instant.at_s
+    both = {n: np.where(until, laws[n].column, 0.0) for n in _OF_WHEELS}
+    columns = {n: laws[n].column for n in chosen}
     told = evidence(model, columns | {f"time:{n}": x for n, x in both.items()})
     # A wheel that is another one turns the robot further, too.
     more = [
