@@ -166,9 +166,10 @@ def _law(found: Examination, named: Named) -> NamedEffect:
     # A drift of any course is a shape in a temperature that went one way.
     timewise = named.law.effect == TEMPERATURE_ORDER.id and went_one_way(found.series)
     rivals = {**named.rivals, BIAS_DRIFT.id: 0.0} if timewise else named.rivals
-    if named.law.effect == BIAS_DRIFT.id and _slows_down(known.parameters):
+    slows_down = named.law.effect == BIAS_DRIFT.id and _slows_down(known.parameters)
+    if slows_down and WARM_UP.why_not(found.laws.offer) is None:
         # Few gyros warm up by one exponential, and what slows down from power-on is as well a warm-up of another law.
-        rivals = {**rivals, WARM_UP.id: 0.0} if WARM_UP.why_not(found.laws.offer) is None else rivals
+        rivals = {**rivals, WARM_UP.id: 0.0}
     effect = _effect(found, named.law.effect, known.parameters, named.p_value, rivals, share, known.adds)
     if (too := known.on_scale) is None:
         return effect

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from gyrocal.diagnosis.drive.laws import Frame, Law, is_motion, jump
+from gyrocal.diagnosis.drive.laws import Frame, Law, jump
 from gyrocal.diagnosis.drive.levels import STRANGER_P
-from gyrocal.diagnosis.drive.motions import AS_LIKELY, mean_gain
+from gyrocal.diagnosis.drive.motions import AS_LIKELY, mean_gain, of_change
 from gyrocal.diagnosis.drive.series import Nodes
 from gyrocal.diagnosis.drive.weighing import Evidence, evidence
 from gyrocal.diagnosis.drive.yaw import YawModel
@@ -118,9 +118,9 @@ def jump_of(
 
     def instead() -> Instant | None:
         """A jump that a law of the bias stands for, which then tells of no jump beside it."""
-        others = [n for n in chosen if not is_motion(n) and n != "slope"]
-        if len(others) == len(chosen):
+        if not (changing_laws := of_change(chosen)):
             return None
+        others = [n for n in chosen if n not in changing_laws]
         told = evidence(model, columns).knowing(less(known, "bias"))
         taken = told.added(others, chosen)
         found = likeliest("bias", others, taken + AS_LIKELY)

@@ -23,6 +23,11 @@ def of_motion(laws: Iterable[str]) -> list[str]:
     return [n for n in laws if is_motion(n)]
 
 
+def of_change(laws: Iterable[str]) -> list[str]:
+    """Laws of a bias that is another one in motion, or at another temperature."""
+    return [n for n in laws if is_motion(n) or n == "slope"]
+
+
 def likely_motions(told: Evidence, chosen: Sequence[str], motions: Sequence[str]) -> tuple[Floats, Floats]:
     """How likely each law of the motion is in place of that which is chosen, and its coefficient then."""
     beside = [n for n in chosen if n not in motions]
@@ -120,7 +125,7 @@ def with_settling(told: Evidence, chosen: Sequence[str]) -> list[str]:
         if any(n in SETTLING for n in settled) and told.added(settled, ["jump"]) < GAIN:
             return settled
     found = list(chosen)
-    for name in (n for n in chosen if is_motion(n) or n == "slope"):
+    for name in of_change(chosen):
         beside = [n for n in found if n != name]
         settling = likeliest_settling(told, found, GAIN)
         stays = bool(settling) and told.added([*beside, *settling], [name]) >= GAIN

@@ -41,8 +41,8 @@ Ints = NDArray[np.int64]
 
 #: Coordinates that a data set runs through.
 _WITHIN = ("table_angle", "time_since_step")
-#: Harmonics of the table angle beyond those of the catalogue's laws.
-STRANGE_HARMONICS = (3, 4, 5, 6)
+#: Harmonics of the table angle beyond those of a centre and an oval.
+_HIGHER_HARMONICS = (3, 4, 5, 6)
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def tested_alone(series: Series) -> list[Pattern]:
     rows = _usable(series)
     angle = [(effect, shape) for effect, shape in _tried(series) if effect.seen_in == "table_angle"]
     # Sets that turn through a part of a turn each do not tell higher harmonics from each other.
-    tried = [(effect, shape) for effect, shape in angle if shape.get("harmonic") not in STRANGE_HARMONICS]
+    tried = [(effect, shape) for effect, shape in angle if shape.get("harmonic") not in _HIGHER_HARMONICS]
     if not (tried and rows.any()):
         return []
     laws, sets = _Laws(series), np.unique(series.set_index[rows], return_inverse=True)[1]
@@ -201,7 +201,7 @@ def strange_turns(series: Series, level: float) -> list[Located]:
     c = conditions_of(series)
     sets = np.unique(series.set_index[rows], return_inverse=True)[1]
     candidates = []
-    for k in STRANGE_HARMONICS:
+    for k in _HIGHER_HARMONICS:
         turns = np.column_stack([c.turned(k, 0.0), c.turned(k, -0.5 * np.pi)])
         candidates.append(_Candidate("", {"harmonic": float(k)}, turns))
     places = []
