@@ -66,20 +66,22 @@ def within_motion(nodes: Nodes) -> tuple[float, float]:
 
 
 def _likeliest(
-    begin_s: float, end_s: float, gains: Callable[[Floats], Floats], least: float = -np.inf
+    begin_s: float, end_s: float, apart_s: float, gains: Callable[[Floats], Floats], least: float = -np.inf
 ) -> Instant | None:
-    """The likeliest instant of a jump by what each gains; None where it may be chance, or one at any gains less than `least`."""
-    apart_s = (end_s - begin_s) / _INSTANTS
-    instants_s = np.asarray(begin_s + apart_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
+    """The likeliest instant of a jump by what each gains, to `apart_s`; None where it may be chance, or one at any gains less than `least`."""
+    step_s = (end_s - begin_s) / _INSTANTS
+    instants_s = np.asarray(begin_s + step_s * (np.arange(_INSTANTS) + 0.5), dtype=np.float64)
     gained = gains(instants_s)
     if chance(float(gained.max())) >= STRANGER_P or mean_gain(gained) < least:
         return None
-    closer_s = instants_s[np.argmax(gained)] + apart_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
-    closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
-    instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+    # Wheels that are others a second before they are tell so much against the law that it takes less than there is.
+    while step_s > apart_s:
+        closer_s = instants_s[np.argmax(gained)] + step_s * np.linspace(-1.0, 1.0, _CLOSER + 1)
+        closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
+        instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
+        step_s *= 2.0 / _CLOSER
     likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
     # The next instant that was looked at is outside.
-    step_s = 2.0 * apart_s / _CLOSER
     ends_s = max(float(likely_s.min()) - step_s, begin_s), min(float(likely_s.max()) + step_s, end_s)
     return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
 
@@ -102,10 +104,10 @@ def jump_of(
     dict of str to Law
         One by the name ``jump``, or one or two by ``time:`` and the name of a wheel's law, or none.
     """
-    columns = {n: laws[n].column for n in chosen}
+    nodes, columns = model.frame.nodes, {n: laws[n].column for n in chosen}
 
     def until(name: str, at_s: float) -> Floats:
-        return np.where(model.frame.nodes.t_s < at_s, laws[name].column, 0.0)
+        return np.where(nodes.t_s < at_s, laws[name].column, 0.0)
 
     def likeliest(name: str, beside: Sequence[str] = chosen, least: float = -np.inf) -> Instant | None:
         def gains(instants_s: Floats) -> Floats:
@@ -114,7 +116,7 @@ def jump_of(
             told = evidence(model, columns | of).knowing(less(known, name))
             return np.array([told.added(beside, [n]) for n in of], dtype=np.float64)
 
-        return _likeliest(*within_motion(model.frame.nodes), gains, least)
+        return _likeliest(*within_motion(nodes), float(np.median(nodes.dt_s)), gains, least)
 
     def instead() -> Instant | None:
         """A jump that a law of the bias stands for, which then tells of no jump beside it."""

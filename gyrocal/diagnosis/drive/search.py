@@ -311,6 +311,8 @@ def _examine(
     least = [*constant, *(["delay"] if ahead_s != 0.0 else [])]
     known, told, chosen = _first(series, free, known_before(series) | dict(held or {}), least, candidates)
     jumping = jump_of(model, free, everything, chosen, known)
+    # What is known of wheels holds at neither side of an instant from which on they are others.
+    known = {n: k for n, k in known.items() if f"time:{n}" not in jumping}
     beyond = wheel_out_of_true(frame, model, everything, chosen, known)
     beyond |= {n: x for n, x in jumping.items() if n in KINDS}
     if beyond or jumping:

@@ -36,10 +36,23 @@ def test_instants_of_a_jump_are_within_the_drive() -> None:
     def rising(instants_s: Floats) -> Floats:
         return np.asarray(instants_s, dtype=np.float64)
 
-    found = _likeliest(0.0, 300.0, rising)
+    found = _likeliest(0.0, 300.0, 1.0, rising)
     assert found is not None
     assert 0.0 < found.at_s < 300.0
     assert found.latest_s <= 300.0
+
+
+def test_the_instant_of_a_jump_is_as_fine_as_what_tells_it() -> None:
+    """Wheels that were others from 0.3 s before they were on took a fifth of the change from its figure."""
+
+    def peaked(instants_s: Floats) -> Floats:
+        return np.asarray(900.0 - 50.0 * np.abs(instants_s - 141.37), dtype=np.float64)
+
+    found = _likeliest(0.0, 300.0, 0.1, peaked)
+    assert found is not None
+    assert found.at_s == pytest.approx(141.37, abs=0.1)
+    assert found.earliest_s < 141.37 < found.latest_s
+    assert found.latest_s - found.earliest_s < 1.0
 
 
 @pytest.mark.slow
