@@ -19,6 +19,7 @@ from gyrocal.diagnosis.laws.estimates import reshaped
 from gyrocal.diagnosis.laws.in_place import NAMED_LEVEL, Named, beyond_chance, is_passing, simplest
 from gyrocal.diagnosis.laws.jumps import Jump, with_jumps
 from gyrocal.diagnosis.laws.misfit import changing, without_mending
+from gyrocal.diagnosis.laws.scan import scan_of
 from gyrocal.diagnosis.model.blocks import (
     BENT,
     REPLACED,
@@ -39,6 +40,7 @@ from gyrocal.inference.additive import Component
 from gyrocal.physics.catalogue import CATALOGUE
 from gyrocal.physics.rate import DEAD_ZONE, RATE_ORDER, TRUNCATION
 from gyrocal.physics.timewise import BIAS_DRIFT, WARM_UP
+from gyrocal.units import NORMAL_95
 
 #: A law that takes most of a block's evidence names it, lack of fit and all. On the same recordings right ones took 0.69 and
 #: more, and none was refused; on 136 others an asymmetry with a soft knee took 0.57.
@@ -117,7 +119,7 @@ def name(
     if passes:
         shaped, named = or_passing(shaped, named, laws)
         left = {block: nats for block, nats in left.items() if block in shaped.model.blocks.values()}
-    shaped, named = _no_misfits(shaped, _mechanisms(named), laws)
+    shaped, named = _no_misfits(shaped, _mechanisms(_of_some_size(named, shaped, laws)), laws)
     if shaped.model.laws != before:
         shaped, named, laws = _at_rest(shaped, named, laws)
     shaped = around_itself(shaped)
@@ -241,6 +243,17 @@ def still_there(named: list[Named], fitted: Fitted, worth: Mapping[str, float]) 
     held = [n for n in named if fitted.model.holds(n.law)]
     stood_for = [n for n in named if n not in held and n.block in worth]
     return held + [replace(n, gain=min(n.gain, worth[n.block])) for n in stood_for]
+
+
+def _of_some_size(named: list[Named], fitted: Fitted, laws: Laws) -> list[Named]:
+    """Less those that smooth parts stand for in the model, in the place of which the law may be nothing: they show something else."""
+
+    def may_be_nothing(named: Named) -> bool:
+        own = fitted.model.of_block(named.block)
+        here = scan_of(fitted.granting_noise, named.law, laws, own).of(named.law.columns, named.law.shape)
+        return abs(here.amplitude) < NORMAL_95 * here.std
+
+    return [n for n in named if fitted.model.holds(n.law) or not may_be_nothing(n)]
 
 
 def _mechanisms(named: list[Named]) -> list[Named]:
