@@ -26,6 +26,7 @@ from gyrocal.diagnosis.names.naming import (
     _at_one_size,
     _least_worth,
     _mechanisms,
+    _of_some_size,
     may_lose,
     still_there,
 )
@@ -175,6 +176,27 @@ def test_a_name_goes_with_the_smooth_parts_that_stood_for_it() -> None:
     kept = still_there([law, by_block, gone], found.fitted, {"temperature": 7.0})
     assert kept[0] is law
     assert [(n.block, n.gain) for n in kept[1:]] == [("temperature", 7.0)]
+
+
+def test_a_law_that_may_be_nothing_in_place_of_smooth_parts_has_no_name() -> None:
+    """A supply that a bend in temperature resembled had kept its name, of an amplitude between minus and plus 3e4."""
+    temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
+    noise = _NOISE_DPS * np.random.default_rng(0).standard_normal(_SETS)
+    bent = 0.01 + noise + 5e-3 * np.tanh((temp - 28.0) / 1.5)
+    full = full_model(means_of(series_of_table(DataSetTable(Path("rest.csv"), np.zeros(_SETS), bent, temp, t_s=_T_S))))
+    fitted = fit_anyhow(full)
+    laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
+
+    def for_block(block: str, effect: str, shape: dict[str, float]) -> Named:
+        law = Law(effect, shape, laws.at(CATALOGUE[effect], shape))
+        return Named(law, block, 50.0, 1.0, {}, 4)
+
+    cubic = for_block("temperature", "temperature_order", {"order": 3.0, "center_c": 20.0})
+    nothing = for_block("warm-up", "warm_up", {"tau_s": 300.0})
+    assert _of_some_size([cubic, nothing], fitted, laws) == [cubic]
+    # What the model itself holds has been weighed there.
+    held = replace(fitted, model=fitted.model.with_laws(nothing.law))
+    assert _of_some_size([nothing], held, laws) == [nothing]
 
 
 @pytest.mark.slow

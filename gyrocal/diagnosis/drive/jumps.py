@@ -80,9 +80,11 @@ def _likeliest(
         closer_s = closer_s[(closer_s > begin_s) & (closer_s < end_s)]
         instants_s, gained = np.append(instants_s, closer_s), np.append(gained, gains(closer_s))
         step_s *= 2.0 / _CLOSER
-    likely_s = instants_s[gained > gained.max() - RISE_INSTANT_95]
-    # The next instant that was looked at is outside.
-    ends_s = max(float(likely_s.min()) - step_s, begin_s), min(float(likely_s.max()) + step_s, end_s)
+    order = np.argsort(instants_s)
+    asked_s = np.concatenate([[begin_s], instants_s[order], [end_s]])
+    likely = np.flatnonzero(gained[order] > gained.max() - RISE_INSTANT_95) + 1
+    # The next instants that were asked on either side are outside.
+    ends_s = float(asked_s[likely[0] - 1]), float(asked_s[likely[-1] + 1])
     return Instant(float(instants_s[np.argmax(gained)]), *ends_s, float(gained.max()))
 
 

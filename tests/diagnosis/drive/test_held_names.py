@@ -55,6 +55,20 @@ def test_the_instant_of_a_jump_is_as_fine_as_what_tells_it() -> None:
     assert found.latest_s - found.earliest_s < 1.0
 
 
+def test_ends_of_the_instant_of_a_jump_were_asked_and_are_outside() -> None:
+    """An end had been the finest step from the last instant inside, where the next that was asked lay further."""
+
+    def flat(instants_s: Floats) -> Floats:
+        return np.where((instants_s > 155.2) & (instants_s < 155.8), 58.0, np.where(instants_s < 140.0, 40.0, 51.0))
+
+    found = _likeliest(0.0, 300.0, 0.1, flat)
+    assert found is not None
+    asked: list[float] = []
+    _likeliest(0.0, 300.0, 0.1, lambda t: (asked.extend(t.tolist()), flat(t))[1])
+    assert flat(np.array([found.earliest_s])) == 40.0
+    assert found.earliest_s in asked
+
+
 @pytest.mark.slow
 def test_a_bias_beyond_what_is_granted_is_no_jump_at_the_end() -> None:
     """Held to 0.01 deg/s, one of 0.2 deg/s had been another bias "from the end of the log on"."""
