@@ -183,7 +183,9 @@ def test_a_law_that_may_be_nothing_in_place_of_smooth_parts_has_no_name() -> Non
     temp = 25.0 + 10.0 * np.sin(_T_S / 1500.0)
     noise = _NOISE_DPS * np.random.default_rng(0).standard_normal(_SETS)
     bent = 0.01 + noise + 5e-3 * np.tanh((temp - 28.0) / 1.5)
-    full = full_model(means_of(series_of_table(DataSetTable(Path("rest.csv"), np.zeros(_SETS), bent, temp, t_s=_T_S))))
+    full = full_model(
+        means_of(series_of_table(DataSetTable(Path("rest.csv"), np.zeros(_SETS), bent, temp, t_s=_T_S)))
+    )
     fitted = fit_anyhow(full)
     laws = laws_of(full.means, surface_of(fitted.model, fitted.solve()))
 

@@ -6,6 +6,7 @@
 ``staircase``   what each layer is worth on data left out
 ``surface``     the surface alone, as a coefficient file
 ``correction``  that with everything that stays, averaged over the rivals
+``between_rates``  what laws of the rate may do between the rates of the plan
 ``standing``    where bias and scale factor stand in the file, of what passes
 ``rising``      which shapes near zero rate a robot can undo
 ``fresh_run``   whether the file makes another run better than the surface alone does

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.apply import SECONDS_A_DATA_SET
+from gyrocal.diagnosis.answer.between_rates import over_shapes
 from gyrocal.diagnosis.answer.rising import dead_zone, rising
 from gyrocal.diagnosis.answer.standing import left_by_drifts, state_of_laws, state_of_walks
 from gyrocal.diagnosis.examine import Examination
-from gyrocal.diagnosis.laws.at_rows import Laws
-from gyrocal.diagnosis.laws.estimates import likely_shapes, moved
 from gyrocal.diagnosis.laws.in_place import is_passing
 from gyrocal.diagnosis.model.blocks import BENT, around_itself, evidence, of_scale
 from gyrocal.diagnosis.model.layers import DIRECTION, NEGLIGIBLE, PHASE, WANDERING_SCALE, Fitted, Law, Model
@@ -38,7 +37,7 @@ from gyrocal.diagnosis.sweeps.unclocked import leaps, without_clock
 from gyrocal.fusion.coefficients import Coefficients, Noise, Valid
 from gyrocal.inference.additive import Solution
 from gyrocal.physics.catalogue import CATALOGUE
-from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, MECHANICAL_RESONANCE, SAGNAC_SINE, SATURATION
+from gyrocal.physics.rate import DEAD_ZONE, FIT_DIRECTION, SAGNAC_SINE
 from gyrocal.physics.smooth import SmoothTerm, seen_of
 from gyrocal.physics.surface import SHAPE, Direction, Surface
 from gyrocal.physics.terms import Term
@@ -54,8 +53,6 @@ _TERMS = SHAPE[0] * SHAPE[1]
 _BEYOND_DOUBT = 10.0
 #: Effects that are seen over the rate.
 _OF_RATE = frozenset(e.id for e in CATALOGUE.values() if e.seen_in == "rate")
-#: Laws of which a few rates leave open what they do between them.
-_BETWEEN_RATES = (MECHANICAL_RESONANCE.id, SATURATION.id)
 #: What comes again with less probability than this has no term in the file.
 _SURELY_NOT = 0.01
 
@@ -120,8 +117,7 @@ def correction(found: Examination, without: Sequence[str] = ()) -> Coefficients:
     beside = _less(found, without)
     fallen = _fallen(found.naming.fitted.model, without, beside.model)
     near = of_one_surface(near or with_rivals(beside, found.naming.named, found.laws))
-    for effect in _BETWEEN_RATES:
-        near = _over_shapes(near, effect, found.laws)
+    near = over_shapes(near, found.laws)
     zone = dead_zone(near[0][1], found.laws)
     models = [(weight, rising(fitted, zone)) for weight, fitted in near]
     solved = [(weight, fitted, fitted.solve()) for weight, fitted in models]
@@ -231,24 +227,6 @@ def _any_of_scale(model: Model, blocks: Collection[str]) -> bool:
     """Whether any part of some blocks that a model has acts on more than the bias."""
     parts = [p for p in model.parts if p.block in blocks and p.name in model.components]
     return any(map(of_scale, parts))
-
-
-def _over_shapes(near: Sequence[tuple[float, Fitted]], effect: str, laws: Laws) -> list[tuple[float, Fitted]]:
-    """Models with the shapes that a law of the rate may have in place of one: between the rates of a plan nobody knows it."""
-    own = [next((x for x in f.model.laws if x.effect == effect), None) for _, f in near]
-    first = next(((f, law) for (_, f), law in zip(near, own, strict=True) if law is not None), None)
-    if first is None:
-        return [*near]
-    shapes = likely_shapes(*first, laws)
-    found: list[tuple[float, Fitted]] = []
-    for (weight, fitted), law in zip(near, own, strict=True):
-        if law is None:
-            found.append((weight, fitted))
-        elif fitted is first[0]:
-            found += [(weight * share, model) for share, _, model in shapes]
-        else:
-            found += [(weight * share, moved(fitted, law, shape, laws)) for share, shape, _ in shapes]
-    return found
 
 
 def file_without_surface(fitted: Fitted) -> Coefficients:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal.calibration.checks import MOST_DATA_SETS
-from gyrocal.calibration.choice import fit_chosen, rms_over_temperature, shift_by_left_out
+from gyrocal.calibration.choice import bias_model, fit_chosen, rms_over_temperature, shift_by_left_out
 from gyrocal.calibration.coarsen import coarsen
 from gyrocal.calibration.datasets import DataSets
 from gyrocal.diagnosis.answer.correction import file_without_surface
@@ -36,9 +36,12 @@ def surface_alone(found: Examination) -> Coefficients:
     means = fitted.model.means
     rows = np.flatnonzero(means.is_set)
     carried = carried_terms(means.series)
-    if carried.size < len(SURFACE) or rows.size < _SETS_A_TERM * len(SURFACE):
+    # The orders of the temperature at one rate are a bias over temperature.
+    at_one_rate = bool(np.all(carried < SHAPE[1]))
+    if rows.size < _SETS_A_TERM * carried.size or not (at_one_rate or carried.size == len(SURFACE)):
         return _under_noise_found(fitted)
-    chosen = fit_chosen(coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]).fit
+    sets = coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]
+    chosen = fit_chosen(sets, model=bias_model(sets) if at_one_rate else None).fit
     return replace(
         file_without_surface(fitted), surface=chosen.surface, covariance_dps2=chosen.covariance_dps2
     )

@@ -59,7 +59,9 @@ def test_ends_of_the_instant_of_a_jump_were_asked_and_are_outside() -> None:
     """An end had been the finest step from the last instant inside, where the next that was asked lay further."""
 
     def flat(instants_s: Floats) -> Floats:
-        return np.where((instants_s > 155.2) & (instants_s < 155.8), 58.0, np.where(instants_s < 140.0, 40.0, 51.0))
+        return np.where(
+            (instants_s > 155.2) & (instants_s < 155.8), 58.0, np.where(instants_s < 140.0, 40.0, 51.0)
+        )
 
     found = _likeliest(0.0, 300.0, 0.1, flat)
     assert found is not None
