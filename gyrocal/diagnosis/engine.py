@@ -140,15 +140,15 @@ def diagnose(
     notes = check_inputs(recorded := series_of(recording), coefficients)
     whole = without_terms(recorded, coefficients)
     series, found, findings, lost = _taken_apart(whole, recorded.gyro_dps, level, coefficients)
-    stairs = staircase(found.naming.fitted, layers_of(found, level) if options.heldout else [], options.seed)
     withheld = doubtful(found)
     surface, improved = surface_alone(found), correction(found, withheld)
+    steps = layers_of(found, level) if options.heldout else []
+    stairs = staircase(found, steps, surface.surface, options.seed)
     parts, layered = (*unnamed(found, level, withheld), *open_laws(found, level)), named_effects(found)
     written, why_not = _written(found, improved, surface, stairs.total, (layered, parts))
     parts = tuple(replace(p, corrected=p.corrected and written is not None) for p in parts)
+    findings += _sampling(series, [*layered, *map(_found, findings)])
     names = [*layered, *map(_found, findings)]
-    findings += (more := _sampling(series, names))
-    names += map(_found, more)
     left = residuals(found, series, surface)
     far = far_off(series, left.after_dps)
     noise, levels, walk = _noise(series, left)

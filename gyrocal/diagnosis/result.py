@@ -154,7 +154,7 @@ class Improvement:
     interval_95 : tuple of float
         Of the drop in held-out rms, by a paired bootstrap of whole blocks.
     logloss_before, logloss_after : float
-        Held-out log-loss, nats a data set, under the noise that is there.
+        Held-out log-loss, nats a data set, each with the noise that its errors show.
     excess_removed : float
         Part of the held-out excess over the noise floor that the model removed.
     scheme : Remark

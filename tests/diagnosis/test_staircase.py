@@ -9,14 +9,15 @@ from typing import cast
 import numpy as np
 import pytest
 from matplotlib.text import Annotation
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from gyrocal.diagnosis.answer.locate import binned
-from gyrocal.diagnosis.answer.staircase import leave_out
+from gyrocal.diagnosis.answer.staircase import LeftOut, folds_of, leave_out, left_out_by
 from gyrocal.diagnosis.engine import Options, diagnose
 from gyrocal.diagnosis.model.layers import Fitted, Model
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Diagnosis, Layer, UnnamedPart
+from gyrocal.diagnosis.rows.means import means_of
 from gyrocal.diagnosis.rows.table_series import series_of_table
 from gyrocal.inference.additive import Component
 from gyrocal.report.diagnosis import figures
@@ -43,7 +44,7 @@ def stepped() -> Diagnosis:
     return diagnose(series_of_table(table("stepped.csv", t, rate, gyro, temp)), None, Options())
 
 
-def test_log_loss_on_rows_left_out_is_that_of_their_prediction() -> None:
+def test_what_is_left_out_is_predicted_by_the_law_of_all_others() -> None:
     """By the conditional normal law, with the flat columns of a variance beyond all measure."""
     rng = np.random.default_rng(4)
     n, out = 12, np.array([2, 3, 9])
@@ -59,9 +60,36 @@ def test_log_loss_on_rows_left_out_is_that_of_their_prediction() -> None:
     rest = np.setdiff1d(np.arange(n), out)
     gain = np.linalg.solve(v[np.ix_(rest, rest)], v[np.ix_(rest, out)]).T
     law = multivariate_normal(gain @ y[rest], v[np.ix_(out, out)] - gain @ v[np.ix_(rest, out)])
-    assert found.logloss.sum() == pytest.approx(-law.logpdf(y[out]), abs=1e-3)
     np.testing.assert_allclose(found.squares, (y[out] - law.mean) ** 2, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(found.variance, np.diag(law.cov), rtol=1e-3)
+
+
+def test_the_log_loss_has_the_noise_that_the_errors_show() -> None:
+    """A model that errs ten times as much makes a row a tenth as probable, however small it takes the noise to be."""
+    rng = np.random.default_rng(6)
+    variance, drawn = rng.uniform(0.5, 2.0, 4000), rng.standard_normal(4000)
+    rows = rng.uniform(size=4000) < 0.9
+    errs = [LeftOut(size**2 * variance * drawn**2, variance, np.arange(4000)) for size in (1.0, 10.0)]
+    one, ten = (found.logloss(rows).mean() for found in errs)
+    assert ten - one == pytest.approx(np.log(10.0))
+    # Of the noise that it has it is the log-loss itself.
+    law = np.asarray(-norm.logpdf(drawn * np.sqrt(variance), scale=np.sqrt(variance)))
+    assert one == pytest.approx(law[rows].mean(), abs=0.01)
+
+
+def test_the_surface_alone_is_fitted_without_what_is_left_out() -> None:
+    t, rate, temp = plan(8)
+    gyro = SURFACE.output_dps(rate, temp) + np.random.default_rng(2).normal(0, NOISE_DPS, t.size)
+    means = means_of(series_of_table(table("plain.csv", t, rate, gyro, temp)))
+    folds = folds_of(means)
+    rows = np.concatenate(folds)
+    found = left_out_by(SURFACE, means, folds, np.ones(rows.size))
+    assert np.sqrt(found.squares.mean()) == pytest.approx(NOISE_DPS, rel=0.2)
+    # An output that is off is not in the fit that predicts it.
+    k = int(folds[0][0])
+    off = replace(means, gyro_dps=means.gyro_dps + 0.01 * (np.arange(len(means)) == k))
+    again = left_out_by(SURFACE, off, folds, np.ones(rows.size))
+    assert np.sqrt(again.squares[0]) == pytest.approx(0.01, abs=5.0 * NOISE_DPS)
 
 
 def test_an_error_is_one_without_what_neighbours_tell_of_the_noise() -> None:

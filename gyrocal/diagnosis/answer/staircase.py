@@ -1,9 +1,10 @@
 """What each layer is worth on data left out, from the surface alone down to the noise.
 
 Whole data sets, and whole temperatures or sweeps, are left out in turn. Under a Gaussian model the prediction of
-what is left out, and its covariance, follow from the precision matrix at once (`P_oo^-1 P y`), surface included. How
-probable it is counts all of that; the error is one without what its neighbours tell of the noise, which no robot has: a walk
-of the bias would follow whatever the layers lack.
+what is left out, and its covariance, follow from the precision matrix at once (`P_oo^-1 P y`), surface included. The error
+is one without what its neighbours tell of the noise, which no robot has: a walk of the bias would follow whatever the layers
+lack. How probable it is counts with the noise that the errors themselves show: the variances are those of the whole model,
+and what lacks layers errs by more. The surface alone is the one of the file of that name.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gyrocal.diagnosis.examine import Examination
 from gyrocal.diagnosis.model.layers import Fitted, Model
 from gyrocal.diagnosis.remarks import Remark, Said
 from gyrocal.diagnosis.result import Improvement, Layer
 from gyrocal.diagnosis.rows.means import Means
 from gyrocal.inference.additive import Component, adds, precision
 from gyrocal.inference.resampling import block_means
+from gyrocal.physics.surface import Surface
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,14 +51,19 @@ class LeftOut:
 
     Attributes
     ----------
-    squares, logloss, variance : squared error, log-loss of its share of what is left out with it, variance of the prediction
+    squares, variance : squared error, and what it would be by the noise of the prediction
     block : number of the stretch of the record that it lies in, in which errors may have much in common
     """
 
     squares: Floats
-    logloss: Floats
     variance: Floats
     block: Ints
+
+    def logloss(self, rows: NDArray[np.bool_]) -> Floats:
+        """Log-loss of some rows, nats, each with its variance times what they err by more than that."""
+        squares, variance = self.squares[rows], self.variance[rows]
+        variance = variance * max(float(np.mean(squares / variance)), np.finfo(float).tiny)
+        return np.asarray(0.5 * (squares / variance + np.log(2.0 * np.pi * variance)))
 
 
 def folds_of(means: Means) -> list[Ints]:
@@ -102,14 +110,12 @@ def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints], passing: Coll
     score, p = precision(model.error_dps, flat, model.all, fitted.fit.variance)
     told = _beyond_mean(flat, [c for c in model.all if c.name in passing], fitted.fit.variance)
     told_p = told @ p
-    squares, logloss, variance = [], [], []
+    squares, variance = [], []
     for rows in folds:
         block = p[np.ix_(rows, rows)]
         block = block + 1e-12 * np.trace(block) / len(block) * np.eye(len(block))
         covariance = np.linalg.inv(block)
         error = covariance @ score[rows]
-        each = 0.5 * (error * score[rows] - np.linalg.slogdet(block)[1] / len(rows) + np.log(2.0 * np.pi))
-        logloss.append(each)
         # What the others tell of the passing here: it is by what they are beside the prediction of the whole.
         own = told[np.ix_(rows, rows)]
         of_others = told_p[np.ix_(rows, rows)] - own @ p[np.ix_(rows, rows)]
@@ -122,10 +128,27 @@ def leave_out(fitted: Fitted, model: Model, folds: Sequence[Ints], passing: Coll
         variance.append(np.diag(covariance) + np.maximum(known, 0.0))
     return LeftOut(
         np.concatenate(squares),
-        np.concatenate(logloss),
         np.concatenate(variance),
         _stretches(model.means)[np.concatenate(folds)],
     )
+
+
+def left_out_by(surface: Surface, means: Means, folds: Sequence[Ints], variance: Floats) -> LeftOut:
+    """Predict what is left out by the terms of a surface alone, fitted to the other data sets with equal weights.
+
+    Parameters
+    ----------
+    variance : of the noise of each prediction, shape (m,)
+    """
+    own_dps = means.rate_dps if surface.direction == "input" else means.gyro_dps
+    design = surface.design(own_dps, means.temp_c)[:, surface.coefficients_dps.ravel() != 0.0]
+    fitted = means.is_set if means.is_set.any() else ~means.is_set
+    squares = []
+    for rows in folds:
+        others = np.setdiff1d(np.flatnonzero(fitted), rows)
+        coefficients = np.linalg.lstsq(design[others], means.error_dps[others], rcond=None)[0]
+        squares.append((means.error_dps[rows] - design[rows] @ coefficients) ** 2)
+    return LeftOut(np.concatenate(squares), variance, _stretches(means)[np.concatenate(folds)])
 
 
 def _beyond_mean(flat: Floats, passing: Sequence[Component], variance: Mapping[str, float]) -> Floats:
@@ -141,7 +164,7 @@ def improvement(
 ) -> Improvement:
     """How much better the second model predicts the rows that count."""
     squares = np.column_stack([before.squares, after.squares])[sure]
-    loss = np.column_stack([before.logloss, after.logloss])[sure]
+    loss = np.column_stack([before.logloss(sure), after.logloss(sure)])
     rms = np.sqrt(squares.mean(axis=0))
     floor = float(np.sqrt(after.variance[sure].mean()))
     drawn = block_means([*squares.T, *loss.T], after.block[sure], _BOOTSTRAP, rng)
@@ -195,13 +218,15 @@ class Step:
     instead: tuple[str, ...] = ()
 
 
-def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
+def staircase(found: Examination, steps: Sequence[Step], alone: Surface, seed: int) -> Staircase:
     """Left-out errors of the surface alone, of every further layer on top, and of all but each one.
 
     Parameters
     ----------
     steps : the strongest first
+    alone : the surface without anything beside it
     """
+    fitted = found.naming.fitted
     means = fitted.model.means
     folds = folds_of(means)
     if not steps:
@@ -212,10 +237,11 @@ def staircase(fitted: Fitted, steps: Sequence[Step], seed: int) -> Staircase:
     down = [fitted.model]
     for step in reversed(steps):
         down.append(step.less(down[-1]))
-    surface = down[-1]
+    surface = down.pop()
     passing = surface.components.keys() - {part.name for part in surface.parts}
     on_the_way = [leave_out(fitted, model, folds, passing) for model in down]
     whole = on_the_way[0]
+    on_the_way.append(left_out_by(alone, means, folds, whole.variance))
     # What noise alone moves this much is extrapolated from what is left: no model is judged by it.
     sure = sets & (whole.variance < _EXTRAPOLATED**2 * np.median(whole.variance[sets]))
     names = ["", *(step.name for step in steps)]
@@ -243,5 +269,5 @@ def _layer(name: str, found: LeftOut, sure: NDArray[np.bool_]) -> Layer:
         name,
         float(np.sqrt(found.squares[sure].mean())),
         float(np.sqrt(found.variance[sure].mean())),
-        float(found.logloss[sure].mean()),
+        float(found.logloss(sure).mean()),
     )

@@ -97,6 +97,5 @@ def _by_second(yaw: YawAnswer, error: Floats) -> tuple[LeftOut, Bools]:
     # Within a second the errors of ticks cancel, but for those at its ends.
     ends = 2.0 * (model.noise.tick_m / model.frame.series.robot.wheel_separation_m) ** 2
     variance = RAD_TO_DEG**2 * (total(model.white) + ends) / over_s**2
-    logloss = 0.5 * (squares / variance + np.log(2.0 * np.pi * variance))
     block = (number * _MEAN_S / _BLOCK_S).astype(np.int64)
-    return LeftOut(squares, logloss, variance, block), total(model.left_out) == 0.0
+    return LeftOut(squares, variance, block), total(model.left_out) == 0.0
