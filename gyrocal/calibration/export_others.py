@@ -153,6 +153,6 @@ def _head(file: Coefficients, mark: str) -> list[str]:
 
 def _left_out(cubic: BiasCubic, mark: str, more: str) -> list[str]:
     return [
-        f"{mark} Bias over temperature, to {cubic.misfit_dps * 1e3:.2g} mdeg/s. The scale factor, its nonlinearity and terms with a",
-        f"{mark} memory have no place in this autopilot and are left out. {more}",
+        f"{mark} Bias over temperature, within {cubic.misfit_dps * 1e3:.2g} mdeg/s of that of the file. The scale factor, its nonlinearity",
+        f"{mark} and terms with a memory have no place in this autopilot and are left out. {more}",
     ]

@@ -285,7 +285,7 @@ def _check_turns(found: Survey, separation_m: float) -> tuple[str, ...]:
         raise DataError(msg)
     if not 1.0 / _UNIT_BORDER < ratio < _UNIT_BORDER:
         cause = (
-            "near 57.3 is rad/s logged as deg/s"
+            "near 0.0175 is rad/s logged as deg/s"
             if ratio < 1
             else "near 57.3 is a rate in deg/s converted twice, one near 3,600 deg/h logged as deg/s"
         )

@@ -26,7 +26,7 @@ _GROSS = 10.0
 #: A data set that is off the others' line by more than this share of the largest rate, and so many times what nine in ten are
 #: off at most, belongs to another rate.
 _STRAY_SHARE, _STRAY_TIMES, _MOST_STRAY = 0.02, 20.0, 0.1
-#: Scale to the mistake that makes it.
+#: Scale to the mistake that makes it, of two that are near to each other the commoner one first.
 _MISTAKES = (
     (np.pi / 180.0, "it is in rad/s"),
     (180.0 / np.pi, "the rate is in rad/s"),
@@ -259,6 +259,9 @@ def parts_in_other_units(
     factors = np.array([1.0, *(times for times, _ in mistakes)])
     off = np.abs(np.log(np.abs(ratio[:, None] / factors)))
     off[ratio[:, None] * factors < 0.0] = np.inf
+    # Factors lie closer together than a gyro may bend: where one is that of all rows, nothing changes.
+    if np.any(off.max(axis=0, initial=0.0) < np.log(within)):
+        return ()
     kind = np.where(off.min(axis=1) < np.log(within), off.argmin(axis=1), -1)
     found: list[tuple[int, Ints]] = []
     for rows in _alike(kind):
@@ -469,8 +472,13 @@ def odd_output(rate_dps: Floats, gyro_dps: Floats, *, ideal: bool = False) -> Od
     if not np.isfinite(scale) or 1.0 / WORST_SCALE < scale < WORST_SCALE:
         return None
     text = f"the output is {times_said(scale)} times the rate"
-    mistake, meaning = min(_MISTAKES, key=lambda known: abs(scale / known[0] - 1.0))
-    if abs(scale / mistake - 1.0) < _NEAR:
+    off = [abs(scale / times - 1.0) for times, _ in _MISTAKES]
+    nearest = int(np.argmin(off))
+    if off[nearest] < _NEAR:
+        # The commoner ones stand first: rad/s of a gyro that is 5 % off are as near to deg/min.
+        meaning = ", or ".join(
+            what for (_, what), far in zip(_MISTAKES[: nearest + 1], off, strict=False) if far < _NEAR
+        )
         meaning += ", or in counts of another scale" * (scale >= _COUNTS)
         return Odd(f"{text} ({meaning}), which is another unit or sign", _CONVERT, a_scale=True)
     if abs(scale) < _DEAD:

@@ -104,9 +104,11 @@ def _verdict(m: Material, before_dph: float, after_dph: float) -> str:
     whose = "the recording that they were fitted to" if m.own else "a recording that they were not fitted to"
     if "source_sha256" not in m.coefficients.provenance:
         whose = "this recording (whether they were fitted to it, their file does not say)"
+    less = before_dph / max(after_dph, 1e-12)
+    times = f"{less:.3g} times less" if less >= 1.0 else f"{1.0 / less:.3g} times more: they make it worse"
     return (
         f"These coefficients take the error of {len(m.data.sets)} data sets from {before_dph:.4g} deg/h rms about {_about(m)} to "
-        f"{after_dph:.4g} deg/h rms, {before_dph / max(after_dph, 1e-12):.3g} times less, on {whose}."
+        f"{after_dph:.4g} deg/h rms, {times}, on {whose}."
     )
 
 

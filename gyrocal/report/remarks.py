@@ -181,12 +181,12 @@ def _no_inverse(count: int, rate_dps: float, temp_c: float) -> str:
 
 def _of_scale(of_scale: bool, too: Sequence[tuple[float, float, float]], unit: str) -> str:
     """Of what else acts on the bias: what the figures are of, and what it does to the other."""
-    what = "the scale factor: its amplitude is what it adds at 100 deg/s" if of_scale else "the bias"
+    what = "the scale factor (what it adds at 100 deg/s)" if of_scale else "the bias"
     if not too:
         return f"It acts on {what}."
     value, low, high = too[0]
     other = "the bias" if of_scale else "the scale factor, at 100 deg/s"
-    return f"These are the figures of {what}; on {other}, it adds {value:.3g} {unit} (95 %: {low:.3g} to {high:.3g})."
+    return f"Its amplitude is that on {what}; on {other}, it adds {value:.3g} {unit} (95 %: {low:.3g} to {high:.3g})."
 
 
 def _largest_rates(rates: Sequence[tuple[float, float, float]]) -> str:
@@ -250,7 +250,7 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     "checked on this table.",
     Said.BEFORE_SINE: lambda effects, rate_dps, share: (
         f"What {listed(effects)} {'do' if len(effects) > 1 else 'does'} to the scale factor comes before the sine of the "
-        f"open loop: at {rate_dps:.4g} deg/s it adds {share:.2f} times what the rate would."
+        f"open loop: at {rate_dps:.4g} deg/s its figures count {share:.2f} times, as an output that bends has that slope there."
     ),
     Said.OPEN_SINCE_POWER_ON: "Whether the change of the bias since power-on comes again is open (a warm-up with "
     "probability {again:.2f}, else a drift): the improved coefficients have the mean of both. Record a second power-on.",

@@ -71,7 +71,7 @@ def _named_elsewhere(found: Versus) -> list[str]:
         return []
     return [
         f"The law has no {listed(lacking)} by name: it is the mean of models that are about as likely, in which curves without a "
-        "name stand for that. Add the function, not the figures of the names"
+        "name stand for that. Add the function, not the figures of the names."
     ]
 
 
@@ -87,12 +87,10 @@ def surface_sentences(apart: Apart) -> list[str]:
             continue
         at = [_plus_minus(factor * x, factor * s) for x, s in zip(value, std, strict=True)]
         ends = "" if high_c - low_c < _ONE_C else f" ({at[0]} at {low_c:.3g} °C, {at[2]} at {high_c:.3g} °C)"
-        said.append(f"the {what} by {at[1]} {unit}{ends}")
+        said.append(f"{what} {at[1]} {unit}{ends}")
     if not said:
         return []
-    return [
-        f"The recording is above the simulation at {middle_c:.3g} °C: {listed(said)} (± one standard deviation)."
-    ]
+    return [f"Recording less simulation at {middle_c:.3g} °C: {listed(said)} (± one standard deviation)."]
 
 
 def _partners(m: Match) -> list[str]:

@@ -123,7 +123,7 @@ BAD: dict[str, tuple[Callable[[DriveBlock], DriveBlock], str]] = {
     "right inverted": (_with(right_m=lambda b: -b.right_m), "the right encoder's sign is inverted"),
     "gyro in rad/s": (
         _with(gyro_dps=lambda b: np.radians(b.gyro_dps)),
-        "a factor near 57.3 is rad/s logged as deg/s",
+        "a factor near 0.0175 is rad/s logged as deg/s",
     ),
     "gyro in deg/h": (
         _with(gyro_dps=lambda b: 3600.0 * b.gyro_dps),

@@ -42,7 +42,8 @@ def test_a_gyros_scale_error_is_no_other_unit(scale: float) -> None:
         (1 / 360, "(it is in rev/s)"),
         (1 / 6, "(it is in rpm)"),
         (6.0, "(the rate is in rpm)"),
-        (60.0, "(it is in deg/min, or in counts of another scale)"),
+        (0.965 * np.pi / 180, "(it is in rad/s, or the rate is in deg/min)"),
+        (60.0, "(the rate is in rad/s, or it is in deg/min, or in counts of another scale)"),
         (27312.6, "another unit or sign"),
         (1e-4, "does not follow the rate"),
     ],
@@ -100,6 +101,15 @@ def test_an_output_that_changes_its_unit_is_told_with_where_it_does(times: float
         assert where in odd.what
         assert meaning in odd.what
         assert not odd.a_scale
+
+
+def test_an_output_that_bends_and_is_in_one_unit_throughout_changes_none() -> None:
+    """Of an open loop in rad/s small rates were in rad/s and large ones in deg/min, "elsewhere it is not"."""
+    bent = np.radians(RATE - 8.0 * (RATE / 100.0) ** 3)
+    assert odd_part(RATE, bent, np.full(RATE.size, 25.0), np.arange(1, RATE.size + 1), lines=True) is None
+    odd = odd_output(RATE, bent)
+    assert odd is not None
+    assert "it is in rad/s" in odd.what
 
 
 def test_a_temperature_in_another_unit_is_told_in_whatever_order_the_rows_are() -> None:
