@@ -23,6 +23,7 @@ class Said(Enum):
     NOMINAL_RATES = auto()
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
+    SHARED_TIMES = auto()
     NO_SPREAD = auto()
     SCALE_FAR_OFF = auto()
     STRAY_SETS = auto()

@@ -305,3 +305,8 @@ def _compare(encoder: Floats, gyro: Floats, centred: float = 1.0) -> tuple[float
     if see == 0.0 or sgg == 0.0:
         return np.inf if see == 0.0 else 0.0, 0.0
     return (sgg / see) ** 0.5, seg / (see * sgg) ** 0.5
+
+
+def held(values: Floats) -> Floats:
+    """The last finite value in the place of those that are not, as the navigator does with a missing temperature."""
+    return values[np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))]

@@ -18,6 +18,7 @@ from gyrocal.fusion import (
     Rows,
     static_bias,
 )
+from gyrocal.navigation.channels import held
 from gyrocal.navigation.levels import fit_noise
 from gyrocal.navigation.track import Rest
 from gyrocal.records.drive import DriveBlock, cut, join
@@ -123,7 +124,7 @@ def _rest(
     rate = head.gyro_dps
     if coefficients is not None:
         since_s = None if power_on_t_s is None else head.t_s - power_on_t_s
-        rate = Compensator(coefficients).correct(head.t_s, rate, _held(head.gyro_temp_c), since_s)
+        rate = Compensator(coefficients).correct(head.t_s, rate, held(head.gyro_temp_c), since_s)
     try:
         bias = static_bias(head.t_s, head.left_m, head.right_m, rate, robot.static_s)
     except DataError as error:
@@ -142,8 +143,3 @@ def _head(source: DriveSource, static_s: float) -> DriveBlock:
         if rows < len(block):
             break
     return join(parts)
-
-
-def _held(values: Floats) -> Floats:
-    """The last finite value in the place of those that are not, as the navigator does with a missing temperature."""
-    return values[np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))]

@@ -12,6 +12,7 @@ class Why(Enum):
 
     # Ranges of a record.
     NO_TURN = auto()
+    ONE_RATE = auto()
     FEW_RATES = auto()
     FEW_SIZES = auto()
     FEW_FOR_EVEN = auto()

@@ -132,6 +132,11 @@ def table_turns(offer: Offer) -> Reason | None:
     return None if offer.turns else Lack(Why.NO_TURN)
 
 
+def rates_differ(offer: Offer) -> Reason | None:
+    """Rates to tell a scale factor by: at one rate what changes it is what changes the bias."""
+    return None if offer.rates_dps.size > 1 else Lack(Why.ONE_RATE)
+
+
 def many_rates(offer: Offer) -> Reason | None:
     """Enough rates for a shape that a cubic leaves over."""
     count = offer.rates_dps.size

@@ -20,7 +20,7 @@ from gyrocal.physics.effect import (
     where_it_acts_c,
 )
 from gyrocal.physics.fold import scale_on_time
-from gyrocal.physics.offer import Offer, begins_warm, table_turns
+from gyrocal.physics.offer import Offer, begins_warm, rates_differ, table_turns
 from gyrocal.physics.search import Search, scales
 from gyrocal.physics.surface import Surface
 from gyrocal.units import MDPS, PPM, S_PER_H
@@ -157,7 +157,7 @@ SCALE_DRIFT = Effect(
     reference="wavelength of the source",
     runtime=False,
     error_dps=memoryless(_scale_drift),
-    search=Search(grid=_powers, refined=("power", "knee_s"), requires=(table_turns,)),
+    search=Search(grid=_powers, refined=("power", "knee_s"), requires=(table_turns, rates_differ)),
     fold=scale_on_time,
 )
 
@@ -188,7 +188,7 @@ SCALE_STEP = Effect(
     reference="changes in level",
     runtime=False,
     error_dps=memoryless(_scale_step),
-    search=Search(grid=_between_turns, refined=("at_s",), requires=(table_turns,)),
+    search=Search(grid=_between_turns, refined=("at_s",), requires=(table_turns, rates_differ)),
     fold=scale_on_time,
 )
 

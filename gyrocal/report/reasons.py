@@ -9,6 +9,7 @@ from gyrocal.physics.lacking import Lack, Reason, Why
 #: What each reason says: a template of its facts.
 WORDS: Mapping[Why, str] = {
     Why.NO_TURN: "the table did not turn",
+    Why.ONE_RATE: "it turned at one rate only, where what changes the scale factor changes the output as the bias does",
     Why.FEW_RATES: "it has {count} different rates, and shapes in rate need at least {fewest}",
     Why.FEW_FOR_EVEN: "it has {count} sizes of rate, rest among them, and shapes that are even in the rate need at least {fewest}",
     Why.FEW_FOR_PEAK: "it has {count} sizes of rate, rest among them, and a peak over the rate needs at least {fewest}",

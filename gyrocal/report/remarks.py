@@ -229,6 +229,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
+    Said.SHARED_TIMES: "{count} [row has|rows have] the time of the row before; rows of one time are taken as following each other evenly "
+    "until the next: log times of their own",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "
     "its noise; [it counts|they count] as noisy as the others",
     Said.STRAY_SETS: _stray_sets,
@@ -367,6 +369,7 @@ _OF_THE_DATA = frozenset(
         Said.NOMINAL_RATES,
         Said.CHAMBER_FOR_GYRO,
         Said.SAME_TIMES,
+        Said.SHARED_TIMES,
         Said.NO_SPREAD,
         Said.GAPS,
         Said.WAYS_ADDED,

@@ -28,11 +28,17 @@ def temperature_alone(found: Examination) -> tuple[Remark, ...]:
     series = found.series
     if np.ptp(series.rate_dps) > 0 or np.ptp(series.temp_c) < _LEAST_SPAN_C:
         return ()
-    if max(found.worth.get(block, 0.0) for block in _NO_TEMPERATURE) < _HISTORY_NATS:
+    named = [n for n in found.naming.named if n.block in ("", *_NO_TEMPERATURE)]
+    if not named and max(found.worth.get(block, 0.0) for block in _NO_TEMPERATURE) < _HISTORY_NATS:
         return (Remark(Said.TEMPERATURE_ALONE),)
-    solution = found.whole.solve()
-    rows = Basis(rows_of(series), found.whole.model.basis.frame)
-    left = np.sum([block_curve(found.whole, solution, b, rows) for b in _NO_TEMPERATURE], axis=0)
+    fitted = found.naming.fitted
+    solution = fitted.solve()
+    rows = Basis(rows_of(series), fitted.model.basis.frame)
+    curves = [block_curve(fitted, solution, b, rows) for b in _NO_TEMPERATURE]
+    whose = rows.means.group_of(fitted.model.means)
+    laws = [n.law for n in named if n.law.name in solution.amplitudes]
+    curves += [(law.columns @ solution.amplitudes[law.name])[whose] for law in laws]
+    left = np.sum(curves, axis=0)
     gap = _branch_gap(series, left)
     facts = {
         "left_mdps": 1e3 * float(np.std(left)),

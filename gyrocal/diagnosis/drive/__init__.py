@@ -3,6 +3,7 @@
 `engine.diagnose_drive` leads. Of a log:
 
 ``series``           row by row: clean channels, rests, ticks, nodes of the comparison
+``stamps``           rows that share a time
 ``rests``            when the robot stands, also by a speed that never reads zero
 ``checks``           units, signs and sides that are mixed up
 

@@ -171,7 +171,8 @@ def missing_rows(t_s: Floats) -> Found | None:
     """Rows that the logger lost, told by the gaps in time."""
     steps = np.diff(t_s)
     usual = usual_step_s(t_s)
-    lost = rows_missing(t_s, usual)
+    # A row that came late, with the time of the next one, is missed at its own.
+    lost = rows_missing(t_s, usual) - int(np.count_nonzero(steps == 0.0))
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)

@@ -215,7 +215,7 @@ def _examined(
     notes += [*instants(yaw, truth), *([Remark(Said.NO_REST, {"why": refused})] if refused else [])]
     if truth is not None and truth.sensor:
         notes.append(Remark(Said.TRUTH_SENSOR, dict(truth.sensor)))
-    clock = uneven_clock(log.t_s)
+    clock = uneven_clock(series.t_s)
     return Examined(
         series,
         yaw,

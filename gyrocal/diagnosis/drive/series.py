@@ -11,11 +11,13 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.signal import lfilter
 
 from gyrocal.diagnosis.drive.rests import moving_rows, refused_rest, still_rows
+from gyrocal.diagnosis.drive.stamps import at_own_times
 from gyrocal.diagnosis.remarks import Note, Remark, Said
 from gyrocal.errors import DataError
 from gyrocal.fusion.coefficients import Coefficients
+from gyrocal.fusion.compensation import Compensator
 from gyrocal.inference.runs import runs_of
-from gyrocal.navigation.channels import check_cells, check_speed
+from gyrocal.navigation.channels import check_cells, check_speed, held
 from gyrocal.navigation.fixes import no_fixes
 from gyrocal.navigation.lost_ways import GAP_STEPS, lost_ways
 from gyrocal.navigation.stuck_wheel import refuse_stuck, stuck_said, stuck_wheels
@@ -180,9 +182,9 @@ def drive_series(
     DataError
         Too short or without motion, or coefficients without a temperature in the log.
     """
-    t_s, notes = log.t_s, list[Note]()
-    _check_length(source, t_s)
-    if (lost := lost_ways([log], usual_step_s(t_s))) is not None:
+    _check_length(source, log.t_s)
+    log, notes = at_own_times(log)
+    if (lost := lost_ways([log], usual_step_s(t_s := log.t_s))) is not None:
         (log,) = lost.completed([log])
         notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
     _check_channels(source, log)
@@ -317,7 +319,7 @@ def _gyro(
             raise DataError(
                 f"{source}: has no gyro_temp_c, so coefficients cannot be applied. Leave --coefficients out."
             )
-        gyro_dps = coefficients.correct(gyro_dps, log.gyro_temp_c)
+        gyro_dps = Compensator(coefficients).correct(log.t_s, gyro_dps, held(log.gyro_temp_c))
         notes.append(Remark(Said.CALIBRATED))
     given_dps = robot.parameters.gyro.bias_dps
     if scale or asymmetry:

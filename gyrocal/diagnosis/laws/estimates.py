@@ -253,7 +253,7 @@ def _modes(beside: Scan, shape: Mapping[str, float], free: Sequence[str]) -> lis
         kind, mode = best[k]
         same = [x for x in found if all(x[n] == value for n, value in kind.kind.items())]
         near = any(all(abs(np.log(mode[n] / x[n])) < _SAME_MODE for n in free) for x in same)
-        if loss < ranked[0][0] + RISE_95 and not near:
+        if loss <= ranked[0][0] + RISE_95 and not near:
             found.append(mode)
     return found
 

@@ -61,8 +61,9 @@ def visits_tell(visits: int) -> bool:
 
 
 def tells_of_scale(means: Means) -> bool:
-    """Whether the visits of a record in which it turned tell what changes the scale factor."""
-    return visits_tell(visits_turned_at(means.rate_dps, means.temp_c))
+    """Whether the visits of a record in which it turned tell what changes the scale factor: at one rate that is the bias as well."""
+    turns = bool(np.ptp(means.rate_dps) > 0.0)
+    return turns and visits_tell(visits_turned_at(means.rate_dps, means.temp_c))
 
 
 def tells_of_branches(temp_c: Floats) -> bool:
@@ -75,7 +76,7 @@ def steps_of_scale(means: Means, fewest: int) -> Ints:
 
     Where the temperatures do not tell of it, those with so many others before and after at the same temperature.
     """
-    turning = np.flatnonzero(means.rate_dps != 0.0)
+    turning = np.flatnonzero(means.rate_dps != 0.0) if np.ptp(means.rate_dps) > 0.0 else np.arange(0)
     if tells_of_scale(means):
         return turning
     visits = _visits(means.temp_c[turning], means.temp_c)

@@ -31,7 +31,7 @@ def without_clock(model: Model) -> set[str]:
     if not leaps(model.means.series):
         return set()
     laws = {law.name for law in model.laws if _goes_by_clock(law.effect)}
-    return laws | {p.name for p in model.parts if _part_goes_by_clock(p)}
+    return laws | {p.name for p in model.parts if p.name in model.components and _part_goes_by_clock(p)}
 
 
 def lacks_clock(series: Series, effect_id: str) -> bool:

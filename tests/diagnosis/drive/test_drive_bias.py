@@ -23,6 +23,9 @@ from gyrocal.diagnosis.drive.search import YawAnswer, _gain, examine_yaw
 from gyrocal.diagnosis.drive.series import drive_series, nodes_of
 from gyrocal.diagnosis.drive.weighing import evidence
 from gyrocal.diagnosis.remarks import Remark, Said
+from gyrocal.fusion.coefficients import Coefficients, Valid
+from gyrocal.physics.surface import Surface
+from gyrocal.physics.terms import Term
 from gyrocal.records.drive import DriveBlock, cut
 from gyrocal.records.robot import Robot, read_robot, robot_of
 from gyrocal.report.remarks import remark_words
@@ -239,6 +242,26 @@ def test_what_strong_one_over_f_noise_would_make_too_is_hardly_evidence(resting:
     assert told.added(beside, ["step"]) < 0.7 * told.own.added(beside, ["step"])
     # What 1/f noise does not make keeps what it gains.
     assert told.added(beside, ["delay"]) == pytest.approx(told.own.added(beside, ["delay"]), abs=0.5)
+
+
+def test_coefficients_correct_every_row_of_a_log_whose_thermometer_is_slow(resting: Robot) -> None:
+    """A gyro at 20 Hz beside temperatures at 1 Hz had been interpolated between one row in twenty."""
+    log = drive(replace(RESTS, hz=20.0, minutes=2.0), 8)
+    every, warm = np.arange(len(log)), np.linspace(20.0, 30.0, len(log))
+    by_temperature = np.zeros((4, 3))
+    by_temperature[0, 1] = 0.1
+    bias = Surface(by_temperature, 0.0, 100.0, 25.0, 10.0)
+    lag = Term("thermal_lag", {"amplitude": {"value": 1.0}, "tau_s": {"value": 30.0}}, True)
+    valid = Valid((-200.0, 200.0), (-40.0, 80.0))
+    plain = Coefficients({"model": "x"}, bias, 1e-12 * np.eye(12), valid)
+    sparse = replace(log, gyro_temp_c=np.where(every % 20 == 0, warm, np.nan))
+    for file in (plain, replace(plain, terms=(lag,))):
+        found = drive_series("log", sparse, resting, file)
+        whole = drive_series("log", replace(log, gyro_temp_c=warm), resting, file)
+        assert not any(isinstance(n, Remark) and n.said is Said.GYRO_BRIDGED for n in found.notes)
+        # By a temperature that is a second old.
+        np.testing.assert_allclose(found.gyro_dps, whole.gyro_dps, atol=0.1 * 10.0 / 10.0 / 100.0)
+        assert np.ptp(whole.gyro_dps - log.gyro_dps) > 0.05
 
 
 @pytest.mark.slow
