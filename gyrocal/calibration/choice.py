@@ -61,9 +61,9 @@ _ORDERS = ((2, 2, 2, 2), (2, 2, 1, 1), (2, 2, 0, 0), (2, 1, 1, 1), (1, 1, 1, 1),
 PAPER = Model("output", (TEMPERATURE_ORDER,) * (RATE_ORDER + 1))
 
 
-def bias_model(sets: DataSets) -> Model:
-    """A bias over temperature, of the order that the temperatures determine."""
-    return Model("output", (determined_order(sets.temp_c),) + (-1,) * RATE_ORDER)
+def bias_model(sets: DataSets, most: int = TEMPERATURE_ORDER) -> Model:
+    """A bias over temperature, of the order that the temperatures determine, or of a lower one."""
+    return Model("output", (min(determined_order(sets.temp_c), most),) + (-1,) * RATE_ORDER)
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,7 @@ def test_a_step_of_the_scale_factor_is_told_to_be_before_the_sine_or_behind_it(
     told = _before_sine(found, [cast(NamedEffect, SimpleNamespace(effect="scale_step"))])
     said = [remark_words(remark) for remark in told]
     assert bool(said) is (where == "before")
-    assert all("at 100.8 deg/s it adds 0.6" in text for text in said)
+    assert all("at 100.8 deg/s its figures count 0.6" in text for text in said)
 
 
 def test_where_the_models_have_the_sine_no_gain_that_rises_has_its_name() -> None:

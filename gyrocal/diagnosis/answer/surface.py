@@ -41,7 +41,7 @@ def surface_alone(found: Examination) -> Coefficients:
     if rows.size < _SETS_A_TERM * carried.size or not (at_one_rate or carried.size == len(SURFACE)):
         return _under_noise_found(fitted)
     sets = coarsen(_data_sets(means).select(rows), MOST_DATA_SETS)[0]
-    chosen = fit_chosen(sets, model=bias_model(sets) if at_one_rate else None).fit
+    chosen = fit_chosen(sets, model=bias_model(sets, carried.size - 1) if at_one_rate else None).fit
     return replace(
         file_without_surface(fitted), surface=chosen.surface, covariance_dps2=chosen.covariance_dps2
     )

@@ -167,12 +167,16 @@ def wrong_truth(series: DriveSeries) -> tuple[DriveSeries, list[Remark]]:
     return series, notes
 
 
-def missing_rows(t_s: Floats) -> Found | None:
-    """Rows that the logger lost, told by the gaps in time."""
+def missing_rows(t_s: Floats, late: int = 0) -> Found | None:
+    """Rows that the logger lost, told by the gaps in time.
+
+    Parameters
+    ----------
+    late : rows that have the time of another one, and are missed at their own
+    """
     steps = np.diff(t_s)
     usual = usual_step_s(t_s)
-    # A row that came late, with the time of the next one, is missed at its own.
-    lost = rows_missing(t_s, usual) - int(np.count_nonzero(steps == 0.0))
+    lost = rows_missing(t_s, usual) - late
     if lost <= _LOST * steps.size:
         return None
     share = 100.0 * lost / (lost + steps.size + 1)

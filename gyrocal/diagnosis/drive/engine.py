@@ -36,6 +36,7 @@ from gyrocal.diagnosis.drive.rests import refused_rest
 from gyrocal.diagnosis.drive.search import YawAnswer, examine_yaw
 from gyrocal.diagnosis.drive.series import DriveSeries, drive_series, rough_bias_dps
 from gyrocal.diagnosis.drive.sides import evened, uneven_gyro
+from gyrocal.diagnosis.drive.stamps import without_time
 from gyrocal.diagnosis.drive.truth import BELIEVED, TruthAnswer
 from gyrocal.diagnosis.drive.visible import truth_floor
 from gyrocal.diagnosis.remarks import Remark, Said
@@ -202,7 +203,7 @@ def _examined(
     uneven = uneven_gyro(truth)
     if uneven is not None and series.differential:
         yaw, truth = _beside_even(series, yaw, truth, uneven[0])
-    checks = [f for f in (unit, missing_rows(log.t_s)) if f is not None]
+    checks = [f for f in (unit, missing_rows(log.t_s, int(without_time(log).sum()))) if f is not None]
     if truth is not None and truth.mirrored:
         seen = Remark(Said.TRUTH_MIRRORED)
         # Where no wheel tells which way the gyro turned, the wrong sign may be its.

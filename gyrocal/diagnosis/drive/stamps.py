@@ -12,6 +12,7 @@ from gyrocal.navigation.lost_ways import GAP_STEPS
 from gyrocal.records.drive import DriveBlock
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 #: Share by which there is more time before a stamp than after it where rows came late.
 _MORE = 0.5
@@ -19,11 +20,21 @@ _MORE = 0.5
 
 def at_own_times(log: DriveBlock) -> tuple[DriveBlock, list[Note]]:
     """The log with rows that share a stamp spread evenly up to the next one, and what is said of them."""
-    times_s = spread(log.t_s)
-    shared = int(np.count_nonzero(np.diff(log.t_s) == 0.0))
-    if not shared:
+    without = without_time(log)
+    if not without.any():
         return log, []
-    return replace(log, t_s=times_s), [Remark(Said.SHARED_TIMES, {"count": shared})]
+    told = without | (np.diff(log.t_s, prepend=-np.inf) > 0.0)
+    # What comes twice stays where it is, and says nothing for no time.
+    times_s = spread(log.t_s[told])[np.cumsum(told) - 1]
+    return replace(log, t_s=times_s), [Remark(Said.SHARED_TIMES, {"count": int(without.sum())})]
+
+
+def without_time(log: DriveBlock) -> Bools:
+    """Rows that have the time of the row before and say something else than it did, shape (n,)."""
+    shared = np.diff(log.t_s, prepend=-np.inf) == 0.0
+    moved = np.nan_to_num(np.abs(log.left_m) + np.abs(log.right_m)) > 0.0
+    turned = np.nan_to_num(np.diff(log.gyro_dps, prepend=np.nan)) != 0.0
+    return np.asarray(shared & (moved | turned))
 
 
 def spread(t_s: Floats) -> Floats:
