@@ -256,7 +256,8 @@ def _of_file(
     coordinates = dict.fromkeys(coordinate_of(b, found.series) for b in withheld)
     remarks += [Remark(Said.NOT_WRITTEN, {"coordinate": c}) for c in coordinates if c in seen]
     again = found.comes_again
-    warming = WARM_UP.seen_in in seen or WARM_UP.id in {n.law.effect for n in found.naming.named}
+    held = () if written is None else [t.effect for t in written.terms if isinstance(t, Term)]
+    warming = WARM_UP.seen_in in seen or WARM_UP.id in {*held, *(n.law.effect for n in found.naming.named)}
     if warming and _SURE < again < 1.0 - _SURE:
         remarks.append(Remark(Said.OPEN_SINCE_POWER_ON, {"again": again}))
     if written is None:

@@ -24,6 +24,7 @@ class Said(Enum):
     CHAMBER_FOR_GYRO = auto()
     SAME_TIMES = auto()
     SHARED_TIMES = auto()
+    SLIP_OF_OWN_TRACK = auto()
     NO_SPREAD = auto()
     SCALE_FAR_OFF = auto()
     STRAY_SETS = auto()

@@ -229,6 +229,8 @@ WORDS: Mapping[Said, str | Callable[..., str]] = {
     Said.DITHERED: "the temperatures are means of readings in steps of {step_c:g} degC that noise carries to and fro, nearer to the steps "
     "than the temperature is: its course between them is taken instead; log the readings, or a finer thermometer",
     Said.SAME_TIMES: "{count} [row has|rows have] the time of the row before: check the times",
+    Said.SLIP_OF_OWN_TRACK: "The figures of the slip above are shares of the wheel separation that the robot file gives; improved_robot.toml has "
+    "it as a share of its own, {separation_m:.4g} m: {percent:.3g} % ({law}).",
     Said.SHARED_TIMES: "{count} [row has|rows have] the time of the row before; rows of one time are taken as following each other evenly "
     "until the next: log times of their own",
     Said.NO_SPREAD: "gyro_std_dps is 0 in {count} [row|rows] of several samples: an output that is stuck or does not resolve "

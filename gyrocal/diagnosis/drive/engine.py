@@ -162,7 +162,7 @@ def diagnose_drive(
         surface=coefficients,
         improved=None,
         rows=None,
-        notes=(*series.notes, *found.notes),
+        notes=(*series.notes, *found.notes, *_own_slip(robot, better)),
         drive={
             "estimates": [e.to_json() for e in estimates],
             "position_error": [s.to_json() for s in shown],
@@ -170,6 +170,17 @@ def diagnose_drive(
         },
     )
     return DriveDiagnosis(diagnosis, series, yaw, truth, estimates, better, tuple(shown))
+
+
+def _own_slip(given: Robot, better: Robot | None) -> list[Remark]:
+    """What a law of slip is in the improved file, whose track it widens: the estimates are of the track that was given."""
+    if better is None or not (slip := better.parameters.slip).amplitude:
+        return []
+    separation_m = better.parameters.wheel_separation_m
+    if separation_m == given.parameters.wheel_separation_m:
+        return []
+    facts = {"law": slip.law, "percent": 100.0 * slip.amplitude, "separation_m": separation_m}
+    return [Remark(Said.SLIP_OF_OWN_TRACK, facts)]
 
 
 def examine(source: str, log: DriveBlock, robot: Robot, coefficients: Coefficients | None) -> Examined:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter1d
 
-from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
+from gyrocal.diagnosis.drive.engine import _own_slip, diagnose_drive, examine
 from gyrocal.diagnosis.drive.filed import asked_anew, beyond_given, filed
 from gyrocal.diagnosis.drive.improved import _slip, improved_robot
 from gyrocal.diagnosis.drive.laws import HALF_CURVATURES
@@ -19,13 +19,14 @@ from gyrocal.diagnosis.drive.search import YawAnswer
 from gyrocal.diagnosis.drive.series import drive_series
 from gyrocal.physics.slip import SLIP_LAWS, slip_shape
 from gyrocal.records.robot import Robot, robot_of
+from gyrocal.report.remarks import remark_words
 from tests.diagnosis.drive.fleet import Plan, drive
 from tests.diagnosis.drive.test_lasting import PLAN, turned
 from tests.diagnosis.drive.world import SEPARATION_M, Hidden, simulate
 
 
 def robot(**figures: object) -> Robot:
-    return robot_of({"wheel_separation_m": 0.5, "static_s": 7.0, **figures}, Path("robot.toml"))
+    return robot_of({"wheel_separation_m": 0.5, "static_s": 7.0} | figures, Path("robot.toml"))
 
 
 @pytest.mark.slow
@@ -157,3 +158,12 @@ def test_a_scale_that_may_be_a_tilt_stays_out_of_the_file() -> None:
 
     assert written(replace(found.yaw, odd=())) == pytest.approx(-0.05, abs=0.01)
     assert written(replace(found.yaw, odd=("turn_rate",))) == 0.0
+
+
+def test_a_slip_of_another_track_than_the_given_one_is_told() -> None:
+    """The page had 27 %, of the separation that was given, and the file 30 %, of its own."""
+    given = robot(slip={"law": "curvature", "amplitude": 0.3})
+    own = robot(wheel_separation_m=0.45, slip={"law": "curvature", "amplitude": 0.37})
+    (said,) = _own_slip(given, own)
+    assert remark_words(said).endswith("as a share of its own, 0.45 m: 37 % (curvature).")
+    assert _own_slip(given, given) == _own_slip(given, robot(wheel_separation_m=0.45)) == []
