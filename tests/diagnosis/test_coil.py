@@ -680,3 +680,13 @@ def test_a_sensor_behind_its_coil_pays_what_any_law_pays() -> None:
     search = table_search(full_model(_sweep().means, memory=False))
     behind, ahead = search._toll((0.7, 238.0), ()), search._toll((-0.7, 238.0), ())
     assert ahead - behind == pytest.approx(TOLL_NATS)
+
+
+def test_a_grid_that_became_finer_costs_no_more_behind_another_slope() -> None:
+    """What a law pays is for the shapes that it had at first, and is compared before the sine and behind it."""
+    changes = _sweep()
+    before = dict(changes.trials)
+    first, second = changes.values["warm_up"][:2]
+    changes.values["warm_up"][1:1] = np.linspace(first, second, 12)[1:-1].tolist()
+    assert changes.at(changes.means).trials == before
+    assert len(changes.at(changes.means).shapes("warm_up")) > before["warm_up", False]

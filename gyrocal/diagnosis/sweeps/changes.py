@@ -123,6 +123,7 @@ class Changes:
         """The same shapes, at the same rows of another slope of the output."""
         found = Changes(means, self.frame)
         found.values.update(self.values)
+        found.trials.update(self.trials)
         return found
 
     def grids(self, effect: str) -> tuple[Sequence[float], Sequence[float]]:
