@@ -311,6 +311,22 @@ def _denied(truth: TruthAnswer, without: TruthAnswer) -> bool:
     return bool(truth.loss - without.loss > 2.0 * np.log(OUT))
 
 
+def _beats_structure(gain: float, found: TruthAnswer, truth: TruthAnswer, of_encoders: float) -> bool:
+    """Whether a law that gains so much is likelier than structure without a name.
+
+    Parameters
+    ----------
+    found, truth : beside the law, and without it
+    of_encoders : logarithm of the chance of the structure that encoders show over the time
+    """
+    # What fits better and leaves nothing odd is all that was odd; columns without a name gain more by bending with the noise.
+    settled = not is_odd(found.surest) and truth.loss - found.loss > AS_LIKELY
+    structure = of_encoders if settled else min(truth.surest, of_encoders)
+    # What is left without it has swollen the noise that its figure is measured by.
+    fits = max(gain, truth.loss - found.loss)
+    return not is_odd(structure) or log_chance(fits, 1) < structure
+
+
 def _with_truth(
     series: DriveSeries, yaw: YawAnswer, truth: TruthAnswer, name: str
 ) -> tuple[float, TruthAnswer | None]:
@@ -336,10 +352,8 @@ def _with_truth(
     if truth.believed(GYRO_SCALE.id) and gain > max(beside, 2.0 * np.log(OUT)):
         gain += truth.told(GYRO_SCALE.id) ** 2 - beside
     # Encoders whose difference to the gyro changes with time, as of a wheel that grows, would have it taken for a bias.
-    structure = min(truth.surest, float(np.log(max(yaw.strangers["time"].p_value, np.finfo(float).tiny))))
-    # What is left without it has swollen the noise that its figure is measured by.
-    fits = max(gain, truth.loss - found.loss)
-    better = not is_odd(structure) or log_chance(fits, 1) < structure
+    of_encoders = float(np.log(max(yaw.strangers["time"].p_value, np.finfo(float).tiny)))
+    better = _beats_structure(gain, found, truth, of_encoders)
     # Turns that are off to one side are in the path that it is laid beside, free: whichever fits better is likelier.
     better |= truth.one_size != 0.0 and truth.loss - found.loss > AS_LIKELY
     return (gain, found) if better else (0.0, None)

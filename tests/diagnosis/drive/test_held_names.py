@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyrocal.diagnosis.drive.beside_truth import _asked, told_from_nothing
+from gyrocal.diagnosis.drive.beside_truth import _asked, _beats_structure, told_from_nothing
 from gyrocal.diagnosis.drive.engine import diagnose_drive, examine
 from gyrocal.diagnosis.drive.estimates import estimates_of
 from gyrocal.diagnosis.drive.findings import joint_estimate
 from gyrocal.diagnosis.drive.jumps import _likeliest, within_motion
 from gyrocal.diagnosis.drive.search import _unlike
 from gyrocal.diagnosis.drive.series import Nodes
+from gyrocal.diagnosis.drive.truth import TruthAnswer
 from gyrocal.records.drive import DriveBlock
 from gyrocal.records.robot import Robot, robot_of
 from gyrocal.report.drive_words import drive_sentences
@@ -149,3 +150,18 @@ def test_a_bias_of_the_last_rest_alone_is_no_jump() -> None:
     resting = np.arange(400) >= 395
     nodes = cast(Nodes, SimpleNamespace(t_s=np.cumsum(dt_s), dt_s=dt_s, resting=resting))
     np.testing.assert_allclose(within_motion(nodes), [395 / 40, 395 * 39 / 40], atol=1.0)
+
+
+def test_a_law_beside_which_nothing_is_odd_is_all_that_was_odd() -> None:
+    """A bias in motion of 10.4 mdeg/s, 27 of its standard deviations, had less to show than columns over the speed."""
+
+    def told(surest: float, loss: float) -> TruthAnswer:
+        return cast(TruthAnswer, SimpleNamespace(surest=surest, loss=loss))
+
+    odd, gain = told(-666.0, -3661.0), 731.0
+    assert _beats_structure(gain, told(-0.5, -3746.0), odd, -0.8)
+    # What leaves some of it, or fits no better, has to outweigh it; and so has what encoders show over the time.
+    assert not _beats_structure(gain, told(-100.0, -3746.0), odd, -0.8)
+    assert not _beats_structure(gain, told(-0.5, -3661.0), odd, -0.8)
+    assert not _beats_structure(gain, told(-0.5, -3746.0), odd, -500.0)
+    assert _beats_structure(2000.0, told(-100.0, -3746.0), odd, -0.8)
