@@ -184,13 +184,13 @@ def drive_series(
     """
     _check_length(source, log.t_s)
     log, notes = at_own_times(log)
-    if (lost := lost_ways([log], usual_step_s(t_s := log.t_s))) is not None:
+    if (lost := lost_ways([log], usual_step_s(log.t_s))) is not None:
         (log,) = lost.completed([log])
         notes.append(Remark(Said.WAYS_ADDED, {"way_m": lost.way_m}))
     _check_channels(source, log)
-    dt_s = np.diff(t_s, prepend=t_s[0])
-    gap = dt_s > GAP_STEPS * usual_step_s(t_s)
-    notes += _gaps_said(t_s, dt_s, gap)
+    dt_s = np.diff(log.t_s, prepend=log.t_s[0])
+    gap = dt_s > GAP_STEPS * usual_step_s(log.t_s)
+    notes += _gaps_said(log.t_s, dt_s, gap)
     if np.isfinite(log.steering_deg).any():
         notes.append(UNUSED_STEERING)
     of_gyro = robot.parameters.gyro
@@ -202,10 +202,10 @@ def drive_series(
     _check_way(source, log, left, right, dt_s)
     (x_m, y_m, heading_deg), wild = _truth(log, left, right)
     ticks = tick_size(left[~bridged]), tick_size(right[~bridged])
-    moving, rests = moving_rows(t_s, dt_s, (left, right), ticks, gyro, noisy_rests=noisy_rests)
+    moving, rests = moving_rows(log.t_s, dt_s, (left, right), ticks, gyro, noisy_rests=noisy_rests)
     return DriveSeries(
         source=source,
-        t_s=t_s,
+        t_s=log.t_s,
         dt_s=dt_s,
         left_m=left,
         right_m=right,
@@ -214,8 +214,8 @@ def drive_series(
         truth_x_m=x_m,
         truth_y_m=y_m,
         truth_heading_deg=heading_deg,
-        resting=still_rows(t_s, moving, tick_wait_s(max(ticks))),
-        quiet=still_rows(t_s, moving, SMOOTH_S),
+        resting=still_rows(log.t_s, moving, tick_wait_s(max(ticks))),
+        quiet=still_rows(log.t_s, moving, SMOOTH_S),
         moved=np.cumsum(moving) > 0,
         gap=gap,
         bridged=bridged,

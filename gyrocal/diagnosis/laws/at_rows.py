@@ -98,10 +98,8 @@ class Laws:
         return found
 
     def _tells_of_order(self, shape: Mapping[str, float]) -> bool:
-        """Whether there are more temperatures than an order: through as many the surface goes by itself. One rate tells of the bias alone."""
+        """Whether there are more temperatures than an order: through as many the surface goes by itself."""
         on_scale = "rate_scale_dps" in shape
-        if on_scale and np.ptp(self.means.rate_dps) == 0.0:
-            return False
         temp_c = temperatures_turned(self.means) if on_scale else self.means.temp_c
         return temperatures_apart(temp_c, frame_of(self.means)) > shape["order"]
 

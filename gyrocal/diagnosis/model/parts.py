@@ -24,6 +24,7 @@ from gyrocal.diagnosis.rows.visited import (
     tells_of_scale,
     temperatures_apart,
     temperatures_turned,
+    turned,
 )
 from gyrocal.inference.additive import Component
 from gyrocal.inference.processes import ornstein_uhlenbeck, wiener
@@ -451,7 +452,7 @@ def passing(means: Means, frame: Frame) -> list[Component]:
     u = means.felt_dps / frame.rate_scale_dps
     walk = wiener(means.t_s)
     found = [Component("bias walk", covariance=walk)]
-    if np.ptp(means.rate_dps) > 0.0:
+    if turned(means).any():
         ahead = (means.t_s - means.t_s[-1]) / (float(np.ptp(means.t_s)) or 1.0)
         if tells_of_scale(means):
             found.append(Component("scale line", (ahead * u)[:, None]))

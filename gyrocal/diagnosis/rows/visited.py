@@ -11,6 +11,7 @@ from gyrocal.physics.surface import SHAPE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 #: Places in temperature from the lowest to the highest that a record may visit.
 TEMP_BUMPS = 11
@@ -60,10 +61,14 @@ def visits_tell(visits: int) -> bool:
     return visits == 1 or visits >= SHAPE[1] + 2
 
 
+def turned(means: Means) -> Bools:
+    """Rows that tell of the scale factor, shape (n,): at which it turned; none at one rate, where that is the bias as well."""
+    return np.asarray((means.rate_dps != 0.0) & (np.ptp(means.rate_dps) > 0.0))
+
+
 def tells_of_scale(means: Means) -> bool:
-    """Whether the visits of a record in which it turned tell what changes the scale factor: at one rate that is the bias as well."""
-    turns = bool(np.ptp(means.rate_dps) > 0.0)
-    return turns and visits_tell(visits_turned_at(means.rate_dps, means.temp_c))
+    """Whether the visits of a record in which it turned tell what changes the scale factor."""
+    return visits_tell(_count(temperatures_turned(means), means.temp_c))
 
 
 def tells_of_branches(temp_c: Floats) -> bool:
@@ -76,7 +81,7 @@ def steps_of_scale(means: Means, fewest: int) -> Ints:
 
     Where the temperatures do not tell of it, those with so many others before and after at the same temperature.
     """
-    turning = np.flatnonzero(means.rate_dps != 0.0) if np.ptp(means.rate_dps) > 0.0 else np.arange(0)
+    turning = np.flatnonzero(turned(means))
     if tells_of_scale(means):
         return turning
     visits = _visits(means.temp_c[turning], means.temp_c)
@@ -92,7 +97,7 @@ def apart(coordinate: Floats, spacing: float) -> int:
 
 def temperatures_turned(means: Means) -> Floats:
     """The temperatures at which it turned, which tell of the scale factor, degC."""
-    return np.asarray(means.temp_c[means.rate_dps != 0.0])
+    return np.asarray(means.temp_c[turned(means)])
 
 
 def temperatures_apart(temp_c: Floats, frame: Frame, places: int = TEMP_BUMPS) -> int:
